@@ -1,0 +1,1 @@
+"""Experiments over the link: the one package that knows both ends."""
