@@ -1,0 +1,153 @@
+"""Points in, feature points out."""
+
+from __future__ import annotations
+
+from typing import Literal, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from common.errors import ParameterError, PointsError
+from common.surface import FeatureSet, FloatArray, IntArray, Region, Units, as_points
+
+Repeated: TypeAlias = Literal["error", "mean", "min", "max"]
+"""What to do with positions that carry more than one height."""
+
+COLLINEAR = 1e-10
+"""Points whose extent across their main direction is below this share of that along it lie on one line: the square
+root of the rounding of coordinates that carry an offset 10^6 times their extent."""
+
+
+def merge_repeated(points: npt.ArrayLike, repeated: Repeated = "error") -> FloatArray:
+    """One height for each position (x, y).
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 3)
+    repeated : {"error", "mean", "min", "max"}
+        The height kept where one position carries several. Rows that are equal to the last bit are merged always.
+
+    Returns
+    -------
+    ndarray, shape (m, 3), m <= n, in order of x, then y.
+
+    Raises
+    ------
+    PointsError
+        If a position carries several heights and `repeated` is "error".
+    """
+    points = np.unique(as_points(points), axis=0)  # sorted by x, y, z
+    first = np.ones(len(points), dtype=bool)
+    first[1:] = np.any(points[1:, :2] != points[:-1, :2], axis=1)
+    if first.all():
+        return points
+    if repeated == "error":
+        x, y, _ = points[int(np.flatnonzero(~first)[0])]
+        raise PointsError(
+            f"{int(np.count_nonzero(first[:-1] & ~first[1:]))} positions carry more than one height, the "
+            f"first at x = {x:g}, y = {y:g}; choose which to keep: repeated = mean, min or max"
+        )
+    start = np.flatnonzero(first)
+    z = points[:, 2]
+    if repeated == "mean":
+        merged = np.add.reduceat(z, start) / np.diff(np.append(start, len(z)))
+    elif repeated in ("min", "max"):
+        merged = (np.minimum if repeated == "min" else np.maximum).reduceat(z, start)
+    else:
+        raise ParameterError(f"repeated = {repeated!r} is unknown; accepted are error, mean, min, max")
+    return np.column_stack([points[start, :2], merged])
+
+
+def check_surface(points: npt.ArrayLike) -> FloatArray:
+    """`points` as a read-only (n, 3) array, if they can be a surface.
+
+    Raises
+    ------
+    PointsError
+        If there are fewer than three points, or all lie in one place or on one line of the xy plane.
+    """
+    points = as_points(points)
+    if len(points) < 3:
+        raise PointsError(f"{len(points)} point(s) given; a surface needs at least 3 that are not on one line")
+    across = np.linalg.svd(points[:, :2] - points[:, :2].mean(axis=0), compute_uv=False)
+    if across[0] == 0:
+        raise PointsError(f"all {len(points)} points lie in one place; a surface needs at least 3 positions")
+    if across[1] <= COLLINEAR * across[0]:
+        raise PointsError(f"all {len(points)} points lie on one line of the xy plane; a surface needs an area")
+    return points
+
+
+def piece_of(points: FloatArray, region: Region, gap: float) -> IntArray:
+    """Index of the piece, row by row from (x_min, y_min), that each of the (n, 3) points lies in, shape (n,)."""
+    rows, columns = region.pieces(gap)
+    column = np.clip(np.floor((points[:, 0] - region.x_min) / gap), 0, columns - 1)
+    row = np.clip(np.floor((points[:, 1] - region.y_min) / gap), 0, rows - 1)
+    return np.asarray(row * columns + column, dtype=np.int64)
+
+
+def extract_features(
+    points: npt.ArrayLike,
+    *,
+    gap: float | None,
+    kind: Literal["extrema", "cloud"] = "extrema",
+    region: Region | None = None,
+    repeated: Repeated = "error",
+    units: Units = Units(),
+) -> FeatureSet:
+    """The feature points of a cloud (the paper, section "Feature extraction").
+
+    The region is cut into square pieces of side `gap`. In each piece the point of least and the point of greatest z
+    are kept; where the two are one point it is kept once, and an empty piece gives none.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 3)
+        x, y, z of the cloud, in any order: the result does not depend on it.
+    gap : float or None
+        Side of a piece (segment gap), in the units of x and y; None, and not used, for the kind "cloud".
+    kind : {"extrema", "cloud"}
+        "cloud" keeps every point.
+    region : Region, optional
+        Where the surface is defined; by default the bounding rectangle of the points. Points outside are refused.
+    repeated : {"error", "mean", "min", "max"}
+        What to do with positions that carry more than one height, see `merge_repeated`.
+    units : Units
+        Units of the coordinates.
+
+    Returns
+    -------
+    FeatureSet
+        Extrema are ordered by piece, the point of least z first; a cloud by x, then y.
+
+    Raises
+    ------
+    PointsError
+        If the points are not a surface (see `check_surface`, `merge_repeated`) or lie outside of `region`.
+    ParameterError
+        If `gap` does not fit the region (see `Region.pieces`) or `kind` is unknown.
+    """
+    points = merge_repeated(check_surface(points), repeated)
+    if region is None:
+        region = Region.of(points)
+    outside = (
+        (points[:, 0] < region.x_min)
+        | (points[:, 0] > region.x_max)
+        | (points[:, 1] < region.y_min)
+        | (points[:, 1] > region.y_max)
+    )
+    if outside.any():
+        raise PointsError(
+            f"{int(outside.sum())} of {len(points)} points lie outside of the region "
+            f"x {region.x_min:g} to {region.x_max:g}, y {region.y_min:g} to {region.y_max:g}"
+        )
+    if kind == "cloud":
+        return FeatureSet(points, region, None, kind, units)
+    if kind != "extrema":
+        raise ParameterError(f"kind {kind!r} cannot be extracted; accepted are extrema, cloud")
+    if gap is None:
+        raise ParameterError("the extrema of pieces need a segment gap")
+    piece = piece_of(points, region, gap)
+    order = np.lexsort((points[:, 1], points[:, 0], points[:, 2], piece))
+    first = np.flatnonzero(np.diff(piece[order], prepend=-1))
+    last = np.append(first[1:], len(order)) - 1
+    return FeatureSet(points[order[np.unique([first, last])]], region, gap, kind, units)

@@ -1,0 +1,145 @@
+"""Files in, points out."""
+
+from __future__ import annotations
+
+import csv
+import io
+import lzma
+import zlib
+from collections.abc import Sequence
+from gzip import BadGzipFile, GzipFile
+from pathlib import Path
+
+import numpy as np
+
+from common.errors import FileFormatError
+from common.surface import FloatArray, as_points
+
+FORMATS = (".csv", ".txt", ".xyz", ".npy")
+"""Endings that are understood; the text formats also compressed, as .gz or .xz."""
+
+MAX_FILE_BYTES = 1 << 30
+"""A file, unpacked: 1 GiB holds about 20 million points as text, more than a laptop's memory holds with working
+arrays, and keeps a small compressed file from filling the memory."""
+
+
+def read_points(path: Path, columns: Sequence[str] | None = None) -> FloatArray:
+    """The points of a file, shape (n, 3); see `parse_points` for the formats.
+
+    Raises
+    ------
+    FileFormatError
+        If the file cannot be read or holds no points.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise FileFormatError(f"cannot read {path}: {error.strerror or error}") from error
+    return parse_points(data, path.name, columns)
+
+
+def parse_points(data: bytes, name: str, columns: Sequence[str] | None = None) -> FloatArray:
+    """The points in the bytes of a file called `name`, shape (n, 3).
+
+    Parameters
+    ----------
+    data : bytes
+    name : str
+        Tells the format by its ending: .npy holds an array of shape (n, 3); .csv, .txt and .xyz hold a point a line,
+        columns separated by commas, semicolons or white space, with or without a line of names, "#" starts a
+        comment. The text formats may be compressed (.gz, .xz).
+    columns : three names, optional
+        Which columns of a text file are x, y and z: names, or numbers counted from 0. By default the columns called
+        x, y, z, or the only three.
+
+    Raises
+    ------
+    FileFormatError
+        If the format is not known, the bytes are not of the format, or the columns are not there.
+    PointsError
+        If the numbers are not finite.
+    """
+    data, name = _unpacked(data, name)
+    suffix = Path(name).suffix.lower()
+    if suffix not in FORMATS:
+        raise FileFormatError(f"cannot tell the format of {name!r}; accepted endings are {', '.join(FORMATS)}")
+    if suffix == ".npy":
+        try:
+            array = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+        except (ValueError, EOFError, OSError, MemoryError) as error:
+            raise FileFormatError(f"{name} is not an NPY file of numbers: {error}") from error
+        if array.ndim != 2 or array.shape[1] != 3:
+            raise FileFormatError(f"{name} holds an array of shape {array.shape}; accepted is (n, 3), columns x, y, z")
+        return as_points(array)
+    return as_points(_parse_text(data, name, columns))
+
+
+def _unpacked(data: bytes, name: str) -> tuple[bytes, str]:
+    suffix = Path(name).suffix.lower()
+    try:
+        if suffix == ".gz":
+            data, name = GzipFile(fileobj=io.BytesIO(data)).read(MAX_FILE_BYTES + 1), name[: -len(suffix)]
+        elif suffix == ".xz":
+            data, name = lzma.LZMADecompressor().decompress(data, MAX_FILE_BYTES + 1), name[: -len(suffix)]
+    except (BadGzipFile, EOFError, lzma.LZMAError, zlib.error) as error:
+        raise FileFormatError(f"{name} is not a {suffix} file: {error}") from error
+    if len(data) > MAX_FILE_BYTES:
+        raise FileFormatError(f"{name} holds more than {MAX_FILE_BYTES >> 20} MiB")
+    return data, name
+
+
+def _parse_text(data: bytes, name: str, columns: Sequence[str] | None) -> FloatArray:
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FileFormatError(f"{name} is not a text file: {error.reason} at byte {error.start}") from error
+    lines = [line for line in (raw.partition("#")[0].strip() for raw in text.splitlines()) if line]
+    if not lines:
+        raise FileFormatError(f"{name} is empty; accepted is one point a line, three columns x, y, z")
+    delimiter = next((mark for mark in ",;\t" if mark in lines[0]), None)
+    names = _cells(lines[0], delimiter)
+    header = not all(_is_number(cell) for cell in names)
+    use = _columns(names, header, columns, name)
+    try:
+        return np.atleast_2d(
+            np.loadtxt(lines[1:] if header else lines, delimiter=delimiter, usecols=use, ndmin=2, dtype=np.float64)
+        )
+    except ValueError as error:
+        raise FileFormatError(f"{name} is not a table of numbers: {error}") from error
+
+
+def _cells(line: str, delimiter: str | None) -> list[str]:
+    if delimiter is None:
+        return line.split()
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter))]
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _columns(names: list[str], header: bool, wanted: Sequence[str] | None, name: str) -> tuple[int, int, int]:
+    known = {label.lower(): index for index, label in enumerate(names)} if header else {}
+    known |= {str(index): index for index in range(len(names))}
+    if wanted is None:
+        if {"x", "y", "z"} <= known.keys():
+            wanted = ("x", "y", "z")
+        elif len(names) == 3:
+            wanted = ("0", "1", "2")
+        else:
+            raise FileFormatError(
+                f"{name} has {len(names)} columns ({', '.join(names[:8])}{', ...' if len(names) > 8 else ''}), "
+                "none called x, y, z; say which they are, for example columns = 0,1,2"
+            )
+    missing = [label for label in wanted if label.lower() not in known]
+    if missing or len(wanted) != 3:
+        raise FileFormatError(
+            f"{name}: columns {', '.join(wanted)} are not three of its columns: {', '.join(names[:8])} "
+            f"or 0 to {len(names) - 1}"
+        )
+    x, y, z = (known[label.lower()] for label in wanted)
+    return x, y, z

@@ -1,0 +1,93 @@
+"""Files to points: the formats, and one clear line for whatever is wrong with a file."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import lzma
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from common.errors import FileFormatError, PointsError, SurfacelinkError
+from sender.readers import parse_points, read_points
+
+POINTS = np.array([[0.0, 1.0, 2.5], [3.0, 4.0, -5.0]])
+TEXT = b"x,y,z\n0,1,2.5\n3,4,-5\n"
+
+
+def npy(array: np.ndarray) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, array)
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("data", "name", "columns"),
+    [
+        (TEXT, "a.csv", None),
+        (b"0,1,2.5\n3,4,-5\n", "a.CSV", None),
+        (b"# made by hand\n0 1 2.5\n3   4 -5  # last\n\n", "a.xyz", None),
+        (b"z;x;y\n2.5;0;1\n-5;3;4\n", "a.txt", None),
+        (b"\xef\xbb\xbfx\ty\tz\tnote\n0\t1\t2.5\t1\n3\t4\t-5\t1\n", "a.txt", None),
+        (b"lon,lat,depth,date\n0,1,2.5,9\n3,4,-5,9\n", "a.csv", ("LON", "lat", "depth")),
+        (b"9,0,1,2.5\n9,3,4,-5\n", "a.csv", ("1", "2", "3")),
+        (gzip.compress(TEXT), "a.csv.gz", None),
+        (lzma.compress(TEXT), "a.csv.xz", None),
+        (npy(POINTS), "a.npy", None),
+        (npy(POINTS.astype(np.float32)), "a.npy", None),
+    ],
+)
+def test_each_format_gives_the_same_points(data: bytes, name: str, columns: tuple[str, ...] | None) -> None:
+    np.testing.assert_array_equal(parse_points(data, name, columns), POINTS)
+
+
+@pytest.mark.parametrize(
+    ("data", "name", "message"),
+    [
+        (TEXT, "a.dat", "accepted endings are .csv"),
+        (b"", "a.csv", "empty"),
+        (b"# nothing\n", "a.csv", "empty"),
+        (b"1,2,3\n1,2\n", "a.csv", "not a table of numbers"),
+        (b"1,2,3\n1,2,three\n", "a.csv", "not a table of numbers"),
+        (b"1,2,3,4\n", "a.csv", "4 columns"),
+        (b"\xff\xfe\x00", "a.csv", "not a text file"),
+        (b"PK\x03\x04", "a.npy", "not an NPY file"),
+        (npy(np.zeros((3, 4))), "a.npy", r"shape \(3, 4\)"),
+        (npy(np.array([{}], dtype=object)), "a.npy", "not an NPY file"),
+        (b"not gzip", "a.csv.gz", "not a .gz file"),
+        (b"not xz", "a.csv.xz", "not a .xz file"),
+    ],
+)
+def test_a_file_that_holds_no_points_says_why(data: bytes, name: str, message: str) -> None:
+    with pytest.raises(FileFormatError, match=message):
+        parse_points(data, name)
+
+
+def test_columns_that_are_not_there_are_named() -> None:
+    with pytest.raises(FileFormatError, match=r"depth.*x, y, z"):
+        parse_points(TEXT, "a.csv", ("x", "y", "depth"))
+
+
+def test_numbers_that_are_not_finite_are_refused() -> None:
+    with pytest.raises(PointsError, match="NaN"):
+        parse_points(b"1,2,nan\n", "a.csv")
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(FileFormatError, match=r"cannot read .*No such file"):
+        read_points(tmp_path / "none.csv")
+    with pytest.raises(FileFormatError, match="cannot read"):
+        read_points(tmp_path)
+
+
+@given(st.binary(max_size=200), st.sampled_from(["a.csv", "a.xyz", "a.npy", "a.csv.gz", "a.npy.xz"]))
+def test_any_bytes_are_points_or_our_error(data: bytes, name: str) -> None:
+    try:
+        points = parse_points(data, name)
+    except SurfacelinkError:
+        return
+    assert points.shape[1] == 3
