@@ -1,0 +1,76 @@
+"""One candidate solved by Cholesky: coefficients, likelihood, leave-one-out residuals, posterior deviation."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+from scipy.linalg import lapack
+
+from common.errors import TrainingError
+from common.surface import FloatArray
+
+_MAX_RAISES = 12
+
+
+class Dense:
+    """(K + lambda W^-1) c = y - b, factorised once.
+
+    Where rounding makes the matrix indefinite, the smoothing is raised tenfold until it is not; `smoothing` tells what
+    was used.
+
+    Parameters
+    ----------
+    gram : ndarray, shape (n, n)
+        K at the positions; overwritten.
+    weights : ndarray, shape (n,)
+        Samples behind each value.
+    smoothing : float
+        lambda, positive.
+    """
+
+    def __init__(self, gram: FloatArray, weights: FloatArray, smoothing: float) -> None:
+        n = len(gram)
+        self.weights = weights
+        for _ in range(_MAX_RAISES):
+            matrix = gram.copy(order="F")
+            matrix[np.diag_indices(n)] += smoothing / weights
+            factor, failed = lapack.dpotrf(matrix, lower=1, clean=0, overwrite_a=1)
+            if not failed:
+                break
+            smoothing = 10 * max(smoothing, n * float(np.finfo(np.float64).eps))
+        else:
+            raise TrainingError(f"the kernel matrix of {n} points is not positive definite, whatever the smoothing")
+        self.factor: FloatArray = factor
+        self.smoothing = smoothing
+        self.one = self.inverse_times(np.ones((n, 1)))[:, 0]
+
+    def inverse_times(self, right: FloatArray) -> FloatArray:
+        """(K + lambda W^-1)^-1 B for B (n, k)."""
+        solved, _ = lapack.dpotrs(self.factor, right, lower=1)
+        return np.asarray(solved)
+
+    def solve(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Coefficients (n, k) and bias (k,) for values (n, k)."""
+        plain = self.inverse_times(y)
+        bias = plain.sum(axis=0) / self.one.sum()
+        return plain - np.outer(self.one, bias), bias
+
+    def leave_one_out(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Residuals (n, k) and their variances over the signal variance (n,)."""
+        inverse, _ = lapack.dpotri(self.factor, lower=1)
+        diagonal = np.diag(inverse) - self.one**2 / self.one.sum()
+        return coefficients / diagonal[:, None], 1 / diagonal
+
+    def likelihood(self, y: FloatArray, coefficients: FloatArray) -> tuple[float, float]:
+        """Restricted negative log likelihood and the signal variance that minimises it."""
+        n, outputs = y.shape
+        variance = max(float(np.sum(y * coefficients)), np.finfo(float).tiny) / ((n - 1) * outputs)
+        log_det = 2 * float(np.log(np.diag(self.factor)).sum()) + float(np.log(self.one.sum()))
+        return 0.5 * outputs * ((n - 1) * np.log(variance) + log_det), variance
+
+    def posterior_variance(self, cross: FloatArray) -> FloatArray:
+        """Variance over the signal variance, shape (m,), where the kernel to the centres is `cross` (n, m)."""
+        half = scipy.linalg.solve_triangular(self.factor, cross, lower=True, check_finite=False)
+        bias_gap = 1 - self.one @ cross
+        variance = 1 - np.einsum("nm,nm->m", half, half) + bias_gap**2 / self.one.sum()
+        return np.asarray(np.clip(variance, 0, None))
