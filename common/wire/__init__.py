@@ -1,1 +1,23 @@
-"""To come."""
+"""FeatureSet <-> packets <-> bytes, sans-IO. The format is specified in docs/wire.md."""
+
+from common.wire.decoder import PacketDecoder
+from common.wire.encoder import encode
+from common.wire.framing import MEDIA_TYPE, MEDIA_TYPES, split
+from common.wire.header import transmission_tag
+from common.wire.options import WireOptions
+from common.wire.packet import Packet, repack
+from common.wire.reassembly import Arrival, Reassembly
+
+__all__ = [
+    "MEDIA_TYPE",
+    "MEDIA_TYPES",
+    "Arrival",
+    "Packet",
+    "PacketDecoder",
+    "Reassembly",
+    "WireOptions",
+    "encode",
+    "repack",
+    "split",
+    "transmission_tag",
+]

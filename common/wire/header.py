@@ -1,0 +1,198 @@
+"""What every packet of a transmission says of it, so that each can be decoded alone.
+
+The layout is the specification's (docs/wire.md); `Header.to_bytes` and `Header.parse` are its two readings.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+from common.errors import LimitError, PacketError, ParameterError, VersionError
+from common.surface import FEATURE_KINDS, UNITS, FeatureKind, Region, Units
+from common.wire.limits import MAX_BITS, MAX_COPIES, MAX_PACKETS, MIN_BITS
+from common.wire.numbers import Interval, Reader, write_real, write_varint
+
+VERSION = 1
+
+_KIND = 0b0000_0011
+_HAS_GAP = 0b0000_0100
+_HAS_UNITS = 0b0000_1000
+_HAS_BOX = 0b0001_0000
+_HAS_PARITY = 0b0010_0000
+_ALTERED = 0b0100_0000
+_RESERVED = 0b1000_0000
+
+_TAG_BYTES = 3
+_NO_UNITS = Units()
+
+
+class Form(IntEnum):
+    """How the points of a packet are written."""
+
+    FLOAT64 = 0
+    FLOAT32 = 1
+    QUANTISED = 2
+
+
+def transmission_tag(transmission: str) -> int:
+    """The number that stands for a transmission's id in its packets: the low 24 bits of the CRC-32 of its UTF-8."""
+    return zlib.crc32(transmission.encode()) & (1 << 8 * _TAG_BYTES) - 1
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """The grid of quantised coordinates.
+
+    Parameters
+    ----------
+    position_bits, height_bits : int
+        Bits of x and of y; of z.
+    x, y : Interval or None
+        What the positions are quantised over; None is the region.
+    z : Interval
+        What the heights are quantised over.
+    """
+
+    position_bits: int
+    height_bits: int
+    z: Interval
+    x: Interval | None = None
+    y: Interval | None = None
+
+    def ranges(self, region: Region) -> tuple[tuple[float, float, int], ...]:
+        """(low, high, bits) of x, y and z."""
+        x = self.x.bounds if self.x else (region.x_min, region.x_max)
+        y = self.y.bounds if self.y else (region.y_min, region.y_max)
+        return (*x, self.position_bits), (*y, self.position_bits), (*self.z.bounds, self.height_bits)
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What the packets of a transmission have in common.
+
+    Parameters
+    ----------
+    tag : int
+        Stands for the transmission's id.
+    total : int
+        Packets that carry points, copies not counted.
+    parity : int
+        Packets that carry parity, copies not counted.
+    region, gap, kind, units
+        Those of the FeatureSet.
+    form : Form
+        How the points are written.
+    grid : Grid or None
+        For the forms that quantise.
+    altered : bool
+        Whether the points were changed on the way (by `repack`).
+    """
+
+    tag: int
+    total: int
+    region: Region
+    form: Form
+    gap: float | None = None
+    kind: FeatureKind = "cloud"
+    units: Units = _NO_UNITS
+    parity: int = 0
+    grid: Grid | None = None
+    altered: bool = False
+
+    @property
+    def period(self) -> int:
+        """Datagrams of one copy of the transmission."""
+        return self.total + self.parity
+
+    def about(self) -> tuple[object, ...]:
+        """What must agree between packets of one transmission, whatever happened to their points."""
+        return (self.tag, self.total, self.parity, self.region, self.gap, self.kind, self.units)
+
+    def as_altered(self) -> Header:
+        """The header of a packet whose points were changed on the way."""
+        return replace(self, form=Form.FLOAT64, grid=None, altered=True)
+
+    def lead(self) -> bytes:
+        """The two bytes before the packet's number."""
+        flags = FEATURE_KINDS.index(self.kind)
+        flags |= _HAS_GAP * (self.gap is not None)
+        flags |= _HAS_UNITS * (self.units != _NO_UNITS)
+        flags |= _HAS_BOX * (self.grid is not None and self.grid.x is not None)
+        flags |= _HAS_PARITY * (self.parity > 0)
+        flags |= _ALTERED * self.altered
+        return bytes([VERSION << 4 | self.form, flags])
+
+    def rest(self) -> bytes:
+        """The bytes between the packet's number and its points."""
+        parts = [self.tag.to_bytes(_TAG_BYTES, "big"), write_varint(self.total)]
+        if self.parity:
+            parts.append(write_varint(self.parity))
+        parts.extend(write_real(bound) for bound in self.region.bounds)
+        if self.gap is not None:
+            parts.append(write_real(self.gap))
+        if self.units != _NO_UNITS:
+            parts.append(bytes([UNITS.index(self.units.xy) << 4 | UNITS.index(self.units.z)]))
+        if self.grid is not None:
+            parts.append(bytes([self.grid.position_bits, self.grid.height_bits]))
+            parts.extend(box.to_bytes() for box in (self.grid.x, self.grid.y) if box)
+            parts.append(self.grid.z.to_bytes())
+        return b"".join(parts)
+
+    @classmethod
+    def parse(cls, lead: bytes, reader: Reader) -> Header:
+        """The inverse of `lead` and `rest`; leaves `reader` at the points.
+
+        Raises VersionError for a version, form or flag that is not known here, LimitError for more packets than are
+        accepted, PacketError for values that contradict each other.
+        """
+        version, form_number, flags = lead[0] >> 4, lead[0] & 0x0F, lead[1]
+        if version != VERSION:
+            raise VersionError(f"a packet is of version {version}; this end reads version {VERSION}")
+        if form_number not in Form.__members__.values() or flags & _RESERVED:
+            raise VersionError(f"a packet is of the unknown form {form_number} or has unknown flags {flags:#04x}")
+        form = Form(form_number)
+        tag = int.from_bytes(reader.take(_TAG_BYTES), "big")
+        total = reader.varint()
+        parity = reader.varint() if flags & _HAS_PARITY else 0
+        if total > MAX_PACKETS or parity > MAX_PACKETS:
+            raise LimitError(
+                f"a packet claims {total} packets and {parity} of parity; at most {MAX_PACKETS} are accepted"
+            )
+        if not total or (flags & _HAS_PARITY and not parity):
+            raise PacketError("a packet claims to be one of none")
+        bounds = [reader.real() for _ in range(4)]
+        gap = reader.real() if flags & _HAS_GAP else None
+        if gap is not None and gap <= 0:
+            raise PacketError(f"a packet has the segment gap {gap:g}; it must be positive")
+        units = _NO_UNITS
+        if flags & _HAS_UNITS:
+            xy, z = divmod(reader.byte(), 16)
+            if max(xy, z) >= len(UNITS):
+                raise VersionError(f"a packet names an unknown unit, number {max(xy, z)}")
+            units = Units(UNITS[xy], UNITS[z])
+        try:
+            region = Region(*bounds)
+        except ParameterError as error:
+            raise PacketError(f"a packet has an impossible region: {error}") from error
+        grid = _parse_grid(reader, boxed=bool(flags & _HAS_BOX)) if form is Form.QUANTISED else None
+        if grid is None and flags & _HAS_BOX:
+            raise PacketError("a packet has a quantisation box, but its points are not quantised")
+        kind = FEATURE_KINDS[flags & _KIND]
+        return cls(tag, total, region, form, gap, kind, units, parity, grid, bool(flags & _ALTERED))
+
+    def check_number(self, number: int) -> None:
+        """PacketError unless `number` can be a datagram of this transmission."""
+        if number >= MAX_COPIES * self.period:
+            raise PacketError(f"a packet has the number {number} of {self.period} in at most {MAX_COPIES} copies")
+
+
+def _parse_grid(reader: Reader, *, boxed: bool) -> Grid:
+    position_bits, height_bits = reader.byte(), reader.byte()
+    if not all(MIN_BITS <= bits <= MAX_BITS for bits in (position_bits, height_bits)):
+        raise PacketError(
+            f"coordinates of {position_bits} and {height_bits} bits; accepted are {MIN_BITS} to {MAX_BITS}"
+        )
+    x, y = (reader.interval(), reader.interval()) if boxed else (None, None)
+    return Grid(position_bits, height_bits, reader.interval(), x, y)

@@ -1,0 +1,44 @@
+"""What the wire accepts at most; each number with its reason.
+
+Nothing is ever allocated by a number that a body claims: only by bytes that are there and passed their checksum.
+"""
+
+from __future__ import annotations
+
+MIN_DATAGRAM = 64
+"""Bytes. Below this the header of a packet outweighs its points."""
+
+MAX_DATAGRAM = 1400
+"""Bytes. Fits the 1,500 of an Ethernet frame with the headers of IP, UDP and a tunnel, so no datagram is fragmented."""
+
+DEFAULT_DATAGRAM = 256
+"""Bytes. About what radio modems carry in one frame; four in five survive a bit-error rate of 1e-4."""
+
+MAX_POINTS_PER_PACKET = 2_000
+"""Points. As float64, the widest form, they still fit the 65,535 bytes that the length field of a packet can say."""
+
+MAX_PACKETS = 262_144
+"""Packets of one transmission, without parity and copies: four million points at 256 bytes a packet."""
+
+MAX_POINTS = 4_000_000
+"""Points of one transmission: 96 MB of coordinates at the receiver."""
+
+MAX_BODY = 128 * 1024 * 1024
+"""Bytes fed to one decoder: the most points, in the widest form."""
+
+MAX_COPIES = 8
+"""Times a packet is sent; a link that needs more is better served by parity or by asking again."""
+
+MIN_BITS = 2
+MAX_BITS = 32
+"""Bits of a quantised coordinate. Beyond 32, float64 is as short."""
+
+MAX_FALSE_STARTS = 32
+"""Bytes that a decoder checks in vain, as a multiple of the bytes fed to it (with `FALSE_START_GRACE` on top).
+
+A look-alike of a packet's start claims a length, and the checksum over that length has to be computed to refute it. In
+noise one byte in 32,768 starts a look-alike; only a body made to be slow comes near to this bound.
+"""
+
+FALSE_START_GRACE = 1024 * 1024
+"""Bytes, see `MAX_FALSE_STARTS`: keeps short bodies clear of the bound whatever they hold."""

@@ -1,0 +1,37 @@
+"""What the sender chooses about the bytes."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, TypeAlias
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from common.wire.limits import DEFAULT_DATAGRAM, MAX_BITS, MAX_DATAGRAM, MAX_PACKETS, MIN_BITS, MIN_DATAGRAM
+
+Bits: TypeAlias = Annotated[int, Field(ge=MIN_BITS, le=MAX_BITS)]
+Precision: TypeAlias = Literal["float64", "float32"] | Bits
+
+
+class WireOptions(BaseModel):
+    """How a FeatureSet becomes packets."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    datagram: int = Field(
+        default=DEFAULT_DATAGRAM, ge=MIN_DATAGRAM, le=MAX_DATAGRAM, description="Bytes; no packet is longer."
+    )
+    precision: Precision = Field(
+        default=16,
+        description="float64, float32, or the bits of a height quantised over the range of the heights.",
+    )
+    position_bits: Bits | None = Field(
+        default=None,
+        description="Bits of x and of y, quantised over the region; by default what the points' density asks for.",
+    )
+    min_packets: int = Field(
+        default=1,
+        ge=1,
+        le=MAX_PACKETS,
+        description="Spread the points over this many packets at least (where there are as many points).",
+    )
+    coding: Literal["plain"] = Field(default="plain", description="How the points of a packet are written.")
