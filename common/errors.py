@@ -20,6 +20,7 @@ Every error that surfacelink raises on purpose derives from `SurfacelinkError`::
     ├── NotReadyError                  409  exists, but has no result yet
     ├── MediaTypeError                 415  a body of a kind that is not understood
     ├── NotAcceptableError             406  an answer in a form that is not offered
+    ├── MissingExtraError              501  needs a package that is not installed
     └── LinkError                      502  the other end does not answer, or answers nonsense
 """
 
@@ -160,6 +161,13 @@ class NotAcceptableError(SurfacelinkError):
 
     status = 406
     title = "Not acceptable"
+
+
+class MissingExtraError(SurfacelinkError):
+    """What was asked for needs a package of an extra that is not installed."""
+
+    status = 501
+    title = "Not installed here"
 
 
 class LinkError(SurfacelinkError):
