@@ -35,7 +35,7 @@ def npy(array: np.ndarray) -> bytes:
         (b"\xef\xbb\xbfx\ty\tz\tnote\n0\t1\t2.5\t1\n3\t4\t-5\t1\n", "a.txt", None),
         (b"lon,lat,depth,date\n0,1,2.5,9\n3,4,-5,9\n", "a.csv", ("LON", "lat", "depth")),
         (b"9,0,1,2.5\n9,3,4,-5\n", "a.csv", ("1", "2", "3")),
-        (gzip.compress(TEXT), "a.csv.gz", None),
+        (gzip.compress(TEXT, mtime=0), "a.csv.gz", None),
         (lzma.compress(TEXT), "a.csv.xz", None),
         (npy(POINTS), "a.npy", None),
         (npy(POINTS.astype(np.float32)), "a.npy", None),
