@@ -1,0 +1,50 @@
+"""What the adapters to HTTP share: a body in, a body out, and the names of the headers. No HTTP is done here."""
+
+from __future__ import annotations
+
+import re
+
+from common.channel.channel import Channel, Delivery
+from common.errors import ParameterError, WireError
+from common.wire import split
+
+ATTEMPT_HEADER = "Surfacelink-Attempt"
+"""Request header: 0 for the first sending of a transmission, 1, 2, ... for the next (absent: 0)."""
+FAULTS_HEADER = "Surfacelink-Faults"
+"""Response header: how many datagrams each impairment touched, such as ``erasure=2, gaussian=10``, or ``none``."""
+MAX_ATTEMPT = 2**31 - 1
+
+_TRANSMISSION = re.compile(r"/v1/transmissions/(?P<transmission>[^/]+)/?")
+
+
+def transmission_of(path: str) -> str | None:
+    """The id in the (percent-decoded) path of a transmission, or None for another path.
+
+    >>> transmission_of("/v1/transmissions/hills"), transmission_of("/v1/surfaces/hills")
+    ('hills', None)
+    """
+    match = _TRANSMISSION.fullmatch(path)
+    return match and match["transmission"]
+
+
+def attempt_of(header: str | None) -> int:
+    """The attempt a request header names; raises ParameterError where it is no integer of 0 to `MAX_ATTEMPT`."""
+    if header is None:
+        return 0
+    if not re.fullmatch(r"[0-9]{1,10}", header.strip()) or int(header) > MAX_ATTEMPT:
+        raise ParameterError(f"{ATTEMPT_HEADER} must be an integer of 0 to {MAX_ATTEMPT}")
+    return int(header)
+
+
+def carry(channel: Channel, body: bytes, *, transmission: str, attempt: int = 0) -> Delivery:
+    """Send the datagrams of a body through the channel; a body that is no run of packets goes as one datagram."""
+    try:
+        packets = split(body)
+    except WireError:
+        packets = [body] if body else []
+    return channel.transmit(packets, transmission=transmission, attempt=attempt)
+
+
+def faults_header(delivery: Delivery) -> str:
+    """The value of the response header."""
+    return ", ".join(f"{kind}={count}" for kind, count in delivery.counts.items()) or "none"

@@ -1,0 +1,166 @@
+"""A channel: impairments in a row, and a seed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache, partial
+from typing import Annotated, Any, Self, Union
+
+from pydantic import Field, TypeAdapter
+
+from common.channel.datagram import launch
+from common.channel.impairment import Impairment
+from common.channel.impairments import IMPAIRMENTS
+from common.channel.notation import (
+    MAX_IMPAIRMENTS,
+    MAX_SEED,
+    check_impairments,
+    check_seed,
+    parameters_of,
+    parse_json,
+    parse_text,
+    to_text,
+)
+from common.channel.passage import Draws, Fault, Passage, Reference
+
+
+@dataclass(frozen=True, slots=True)
+class Delivery:
+    """What came out of the channel."""
+
+    packets: tuple[bytes, ...]
+    """The datagrams in the order of their arrival."""
+    faults: tuple[Fault, ...]
+    """What was done to which packet, by packet and then in the order it happened."""
+    times: tuple[float, ...]
+    """Seconds of virtual time at which each datagram arrived, ascending; the first is sent at 0."""
+
+    @property
+    def body(self) -> bytes:
+        """The datagrams end to end."""
+        return b"".join(self.packets)
+
+    @property
+    def seconds(self) -> float:
+        """Virtual time until the last datagram arrived."""
+        return self.times[-1] if self.times else 0.0
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """How many datagrams each kind of impairment touched."""
+        return dict(sorted(Counter(fault.kind for fault in self.faults).items()))
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A link that harms what is sent through it, in exactly the way and measure that is written down.
+
+    Impairments act in the order given. A channel holds no state: the same packets, transmission and attempt meet the
+    same harm, whatever the order or the company they are sent in.
+
+    Parameters
+    ----------
+    impairments : sequence of Impairment
+        Empty is the channel that does nothing.
+    seed : int
+        0 to 2^64 - 1.
+
+    Raises
+    ------
+    ChannelError
+        If there are too many impairments or the seed is out of bounds.
+
+    Examples
+    --------
+    >>> channel = Channel.parse("gaussian:std=0.1,axes=xyz;erasure:p=0.05", seed=7)
+    >>> str(channel)
+    'gaussian:axes=xyz,std=0.1;erasure:p=0.05;seed=7'
+    >>> Channel.parse(str(channel)) == channel
+    True
+    """
+
+    impairments: tuple[Impairment, ...] = field(default=())
+    seed: int = 0
+
+    def __init__(self, impairments: Sequence[Impairment] = (), seed: int = 0) -> None:
+        object.__setattr__(self, "impairments", check_impairments(impairments))
+        object.__setattr__(self, "seed", check_seed(seed))
+
+    @classmethod
+    def parse(cls, text: str, seed: int = 0) -> Self:
+        """A channel from the short form; a seed in the text goes before `seed`; raises ChannelError."""
+        impairments, own = parse_text(text)
+        return cls(impairments, seed if own is None else own)
+
+    @classmethod
+    def from_json(cls, document: object, seed: int = 0) -> Self:
+        """A channel from a decoded JSON document (see `to_json`) or a short string; raises ChannelError."""
+        impairments, own = parse_json(document)
+        return cls(impairments, seed if own is None else own)
+
+    def to_json(self) -> dict[str, Any]:
+        """``{"impairments": [{"kind": ..., parameters that are not at their default}], "seed": ...}``."""
+        return {
+            "impairments": [{"kind": part.kind, **parameters_of(part)} for part in self.impairments],
+            "seed": self.seed,
+        }
+
+    @staticmethod
+    def json_schema() -> dict[str, Any]:
+        """JSON schema of what `from_json` accepts, with the units and bounds of every impairment."""
+        kinds: Any = Annotated[Union[IMPAIRMENTS], Field(discriminator="kind")]  # noqa: UP007 - built from the registry
+        items = TypeAdapter(kinds).json_schema()
+        definitions = items.pop("$defs")
+        return {
+            "type": "object",
+            "additionalProperties": False,
+            "properties": {
+                "impairments": {"type": "array", "maxItems": MAX_IMPAIRMENTS, "items": items},
+                "seed": {"type": "integer", "minimum": 0, "maximum": MAX_SEED},
+            },
+            "$defs": definitions,
+        }
+
+    def __str__(self) -> str:
+        return to_text(self.impairments, self.seed)
+
+    def __bool__(self) -> bool:
+        """False for the channel that does nothing."""
+        return bool(self.impairments)
+
+    def transmit(
+        self,
+        packets: Sequence[bytes],
+        *,
+        transmission: str,
+        attempt: int = 0,
+        reference: Reference | None = None,
+    ) -> Delivery:
+        """Send datagrams through the channel; never raises, whatever bytes they are.
+
+        Parameters
+        ----------
+        packets : sequence of bytes
+            Datagrams in the order they are sent. One that is no packet is harmed by its position.
+        transmission : str
+            Id of the transmission.
+        attempt : int
+            0 for the first sending, another number for each later one: packets sent again meet fresh luck.
+        reference : Reference, optional
+            What relative strengths refer to. Without it, the points in `packets`; give it where a transmission is
+            sent in several parts that should be treated alike.
+        """
+        flight = launch(packets)
+        scale = cache(partial(Reference.of, tuple(flight))) if reference is None else lambda: reference
+        log: list[Fault] = []
+        for position, impairment in enumerate(self.impairments):
+            draws = Draws.of(self.seed, transmission, attempt, position)
+            flight = impairment.apply(flight, Passage(impairment.kind, draws, scale, log))
+        flight.sort(key=lambda datagram: datagram.at)
+        return Delivery(
+            packets=tuple(datagram.delivered() for datagram in flight),
+            faults=tuple(sorted(log, key=lambda fault: (fault.packet, fault.copy))),
+            times=tuple(datagram.at for datagram in flight),
+        )

@@ -1,0 +1,33 @@
+"""Independent bit errors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from common.channel.datagram import Datagram
+from common.channel.impairment import Impairment, Probability
+from common.channel.passage import Passage
+
+
+class BitErrors(Impairment):
+    """The binary symmetric channel: each bit is flipped with probability `ber`, independently of the others.
+
+    Source: Cover and Thomas, "Elements of Information Theory", 2nd edition, section 7.1.4.
+    """
+
+    kind: Literal["bit_errors"] = "bit_errors"
+    ber: Probability = Field(description="bit-error rate: probability that a bit is flipped, 0 to 1")
+
+    def harm(self, datagram: Datagram, passage: Passage) -> Iterable[Datagram]:
+        """The datagram with some of its bits flipped."""
+        flips = passage.rng(datagram).random(8 * len(datagram.data)) < self.ber
+        count = int(np.count_nonzero(flips))
+        if not count:
+            return [datagram]
+        passage.note(datagram, count, "bits")
+        flipped = np.frombuffer(datagram.data, dtype=np.uint8) ^ np.packbits(flips)
+        return [datagram.damaged(flipped.tobytes())]

@@ -1,0 +1,66 @@
+"""Bits to symbols, symbols through a channel, symbols to bits: at complex baseband, with Eb = 1.
+
+BPSK carries a bit a symbol, QPSK two (Gray coded), so at equal Eb / N0 both have the same bit-error rate. The receiver
+knows the gain of the channel (coherent detection) and decides each bit by the sign of its component.
+
+Source: Proakis and Salehi, "Digital Communications", 5th edition, sections 4.3 and 13.3.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+ComplexArray: TypeAlias = npt.NDArray[np.complex128]
+Bits: TypeAlias = npt.NDArray[np.uint8]
+
+Modulation: TypeAlias = Literal["bpsk", "qpsk"]
+BITS_PER_SYMBOL: dict[Modulation, int] = {"bpsk": 1, "qpsk": 2}
+
+
+def symbols_of(modulation: Modulation, data: bytes) -> ComplexArray:
+    """The symbols that carry `data`, shape (8 * len(data) / bits a symbol,), most significant bit first."""
+    antipodal = 1.0 - 2.0 * np.unpackbits(np.frombuffer(data, dtype=np.uint8))
+    symbols: ComplexArray = antipodal.astype(np.complex128) if modulation == "bpsk" else antipodal.view(np.complex128)
+    return symbols
+
+
+def detect(modulation: Modulation, received: ComplexArray, gains: ComplexArray) -> Bits:
+    """The bits, 0 or 1, that the receiver decides for, given the gain of each symbol."""
+    aligned = received * gains.conj()
+    components = aligned.real if modulation == "bpsk" else aligned.view(np.float64)
+    return (components < 0).astype(np.uint8)
+
+
+def complex_normal(rng: np.random.Generator, count: int, variance: float) -> ComplexArray:
+    """`count` circular complex normal values whose squared magnitude has the mean `variance`."""
+    values: ComplexArray = rng.standard_normal(2 * count).view(np.complex128)
+    return values * math.sqrt(variance / 2)
+
+
+def transmit(
+    modulation: Modulation, data: bytes, gains: ComplexArray, ebn0_db: float, rng: np.random.Generator
+) -> tuple[bytes, int]:
+    """`data` as it is received over r = gain * s + n, and the number of wrong bits.
+
+    `gains` has one value a symbol, with a mean squared magnitude of 1, so that `ebn0_db` is the mean ratio of the
+    energy of a bit to the noise density N0; the noise has the variance N0 / 2 in each of its two components.
+    """
+    symbols = symbols_of(modulation, data)
+    noise = complex_normal(rng, len(symbols), variance=10 ** (-ebn0_db / 10))
+    harmed = np.packbits(detect(modulation, gains * symbols + noise, gains)).tobytes()
+    return (data, 0) if harmed == data else (harmed, count_differing_bits(data, harmed))
+
+
+def symbol_count(modulation: Modulation, data: bytes) -> int:
+    """Symbols that carry `data`."""
+    return 8 * len(data) // BITS_PER_SYMBOL[modulation]
+
+
+def count_differing_bits(a: bytes, b: bytes) -> int:
+    """Bits in which two strings of one length differ."""
+    different = np.frombuffer(a, dtype=np.uint8) ^ np.frombuffer(b, dtype=np.uint8)
+    return int(np.bitwise_count(different).sum())

@@ -1,0 +1,125 @@
+"""The channel in front of the receiver: harms the packets of each transmission before the application sees them."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import TypeAlias
+
+import anyio
+from anyio import to_thread
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import JSONResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from common.channel import Channel
+from common.channel.carrying import ATTEMPT_HEADER, FAULTS_HEADER, attempt_of, carry, faults_header, transmission_of
+from common.errors import LimitError, SurfacelinkError
+
+Sleep: TypeAlias = Callable[[float], Awaitable[None]]
+
+
+class ChannelMiddleware:
+    """Pure ASGI: sends the body of each ``POST /v1/transmissions/{id}`` through the channel in force.
+
+    The channel in force is ``app.state.channel`` of the application it is mounted in; who replaces it there changes
+    it for every request that starts later, and for none that is under way. Nothing of a request is kept here.
+
+    The answer carries the header ``Surfacelink-Faults``. An error of ours is answered here as problem+json, because
+    middleware stands outside the exception handlers of the application.
+
+    Parameters
+    ----------
+    app : ASGIApp
+        What the harmed request is handed to.
+    max_body_bytes : int
+        A longer body is answered by 413 before it is buffered.
+    sleep : callable
+        Waits for the seconds that the channel delays a transmission (``anyio.sleep``).
+    """
+
+    def __init__(self, app: ASGIApp, *, max_body_bytes: int, sleep: Sleep = anyio.sleep) -> None:
+        self.app = app
+        self.max_body_bytes = max_body_bytes
+        self.sleep = sleep
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle one connection."""
+        transmission = _transmission(scope)
+        channel: Channel = scope["app"].state.channel if transmission is not None else Channel()
+        if transmission is None or not channel:
+            await self.app(scope, receive, send)
+            return
+        try:
+            headers = Headers(scope=scope)
+            attempt = attempt_of(headers.get(ATTEMPT_HEADER))
+            body = await self._read(headers, receive)
+        except SurfacelinkError as error:
+            await _problem(error)(scope, receive, send)
+            return
+        if body is None:
+            return
+        # A large transmission takes seconds; the event loop has other connections to serve meanwhile.
+        delivery = await to_thread.run_sync(
+            lambda: carry(channel, body, transmission=transmission, attempt=attempt), abandon_on_cancel=True
+        )
+        if delivery.seconds:
+            await self.sleep(delivery.seconds)
+        harmed = delivery.body
+        scope = dict(scope, headers=_with_length(headers, len(harmed)))
+        await self.app(scope, _replay(harmed, receive), _announce(faults_header(delivery), send))
+
+    async def _read(self, headers: Headers, receive: Receive) -> bytes | None:
+        """The whole body, or None where the client went away; raises LimitError."""
+        declared = headers.get("content-length", "")
+        if declared.isdecimal() and int(declared) > self.max_body_bytes:
+            raise LimitError(f"the body is longer than {self.max_body_bytes} bytes")
+        chunks: list[bytes] = []
+        size = 0
+        while True:
+            message = await receive()
+            if message["type"] != "http.request":
+                return None
+            chunks.append(message.get("body", b""))
+            size += len(chunks[-1])
+            if size > self.max_body_bytes:
+                raise LimitError(f"the body is longer than {self.max_body_bytes} bytes")
+            if not message.get("more_body", False):
+                return b"".join(chunks)
+
+
+def _problem(error: SurfacelinkError) -> JSONResponse:
+    document = {"title": error.title, "status": error.status, "detail": error.detail}
+    return JSONResponse(document, error.status, media_type="application/problem+json")
+
+
+def _transmission(scope: Scope) -> str | None:
+    if scope["type"] != "http" or scope["method"] != "POST":
+        return None
+    return transmission_of(scope["path"].removeprefix(scope.get("root_path", "")))
+
+
+def _with_length(headers: Headers, length: int) -> list[tuple[bytes, bytes]]:
+    kept = [pair for pair in headers.raw if pair[0].lower() not in (b"content-length", b"transfer-encoding")]
+    return [*kept, (b"content-length", str(length).encode())]
+
+
+def _replay(body: bytes, receive: Receive) -> Receive:
+    """A receive that hands out `body` once, then whatever comes from the server (a disconnect)."""
+    unread = [body]
+
+    async def replayed() -> Message:
+        if unread:
+            return {"type": "http.request", "body": unread.pop(), "more_body": False}
+        return await receive()
+
+    return replayed
+
+
+def _announce(faults: str, send: Send) -> Send:
+    async def announced(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            message = dict(message, headers=list(message.get("headers", [])))
+            MutableHeaders(raw=message["headers"])[FAULTS_HEADER] = faults
+        await send(message)
+
+    return announced

@@ -1,0 +1,64 @@
+"""The channel on the sender's side: an httpx transport that harms what is sent through it."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import TypeAlias
+
+import anyio
+import httpx
+from anyio import to_thread
+
+from common.channel import Channel
+from common.channel.carrying import ATTEMPT_HEADER, FAULTS_HEADER, attempt_of, carry, faults_header, transmission_of
+
+Sleep: TypeAlias = Callable[[float], Awaitable[None]]
+
+
+class ChannelTransport(httpx.AsyncBaseTransport):
+    """Sends the body of each ``POST /v1/transmissions/{id}`` through a channel, everything else as it is.
+
+    Parameters
+    ----------
+    transport : httpx.AsyncBaseTransport
+        What carries the requests (``httpx.AsyncHTTPTransport()``, ``httpx.ASGITransport(app)``).
+    channel : Channel
+        The channel in force; may be replaced at any time, for the requests that start later.
+    sleep : callable
+        Waits for the seconds that the channel delays a transmission (``anyio.sleep``).
+
+    The answer carries the header ``Surfacelink-Faults``. Raises ParameterError for a request whose header
+    ``Surfacelink-Attempt`` is no count.
+    """
+
+    def __init__(self, transport: httpx.AsyncBaseTransport, channel: Channel, *, sleep: Sleep = anyio.sleep) -> None:
+        self.transport = transport
+        self.channel = channel
+        self.sleep = sleep
+
+    async def handle_async_request(self, request: httpx.Request) -> httpx.Response:
+        """Send one request."""
+        channel = self.channel
+        transmission = transmission_of(request.url.path) if request.method == "POST" else None
+        if transmission is None or not channel:
+            return await self.transport.handle_async_request(request)
+        attempt = attempt_of(request.headers.get(ATTEMPT_HEADER))
+        body = await request.aread()
+        delivery = await to_thread.run_sync(
+            lambda: carry(channel, body, transmission=transmission, attempt=attempt), abandon_on_cancel=True
+        )
+        if delivery.seconds:
+            await self.sleep(delivery.seconds)
+        headers = [
+            pair for pair in request.headers.raw if pair[0].lower() not in (b"content-length", b"transfer-encoding")
+        ]
+        harmed = httpx.Request(
+            request.method, request.url, headers=headers, content=delivery.body, extensions=request.extensions
+        )
+        response = await self.transport.handle_async_request(harmed)
+        response.headers[FAULTS_HEADER] = faults_header(delivery)
+        return response
+
+    async def aclose(self) -> None:
+        """Close the transport inside."""
+        await self.transport.aclose()
