@@ -21,6 +21,7 @@ Every error that surfacelink raises on purpose derives from `SurfacelinkError`::
     ├── MediaTypeError                 415  a body of a kind that is not understood
     ├── NotAcceptableError             406  an answer in a form that is not offered
     ├── MissingExtraError              501  needs a package that is not installed
+    ├── StoreError                     503  what is kept on disk cannot be read or written
     └── LinkError                      502  the other end does not answer, or answers nonsense
 """
 
@@ -168,6 +169,13 @@ class MissingExtraError(SurfacelinkError):
 
     status = 501
     title = "Not installed here"
+
+
+class StoreError(SurfacelinkError):
+    """What is kept on disk cannot be read or written."""
+
+    status = 503
+    title = "Store unavailable"
 
 
 class LinkError(SurfacelinkError):

@@ -8,14 +8,17 @@ from typing import TypeAlias
 import anyio
 from anyio import to_thread
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from common.channel import Channel
 from common.channel.carrying import ATTEMPT_HEADER, FAULTS_HEADER, attempt_of, carry, faults_header, transmission_of
 from common.errors import LimitError, SurfacelinkError
+from receiver.problems import problem_of, respond
 
 Sleep: TypeAlias = Callable[[float], Awaitable[None]]
+
+SENT = "surfacelink.sent"
+"""Key of the ASGI scope that holds the body as it was before the channel."""
 
 
 class ChannelMiddleware:
@@ -54,7 +57,7 @@ class ChannelMiddleware:
             attempt = attempt_of(headers.get(ATTEMPT_HEADER))
             body = await self._read(headers, receive)
         except SurfacelinkError as error:
-            await _problem(error)(scope, receive, send)
+            await respond(problem_of(error))(scope, receive, send)
             return
         if body is None:
             return
@@ -65,7 +68,7 @@ class ChannelMiddleware:
         if delivery.seconds:
             await self.sleep(delivery.seconds)
         harmed = delivery.body
-        scope = dict(scope, headers=_with_length(headers, len(harmed)))
+        scope = {**scope, "headers": _with_length(headers, len(harmed)), SENT: body}
         await self.app(scope, _replay(harmed, receive), _announce(faults_header(delivery), send))
 
     async def _read(self, headers: Headers, receive: Receive) -> bytes | None:
@@ -85,11 +88,6 @@ class ChannelMiddleware:
                 raise LimitError(f"the body is longer than {self.max_body_bytes} bytes")
             if not message.get("more_body", False):
                 return b"".join(chunks)
-
-
-def _problem(error: SurfacelinkError) -> JSONResponse:
-    document = {"title": error.title, "status": error.status, "detail": error.detail}
-    return JSONResponse(document, error.status, media_type="application/problem+json")
 
 
 def _transmission(scope: Scope) -> str | None:

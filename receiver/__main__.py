@@ -1,0 +1,130 @@
+"""The command `receiver`."""
+
+from __future__ import annotations
+
+import logging
+import socket
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+import uvicorn
+from fastapi import FastAPI
+from pydantic import ValidationError
+from rich.console import Console
+from rich.markup import escape
+
+from common.errors import SurfacelinkError
+from receiver.app import create_app
+from receiver.problems import invalid_fields
+from receiver.settings import Settings
+from receiver.store import Store
+from receiver.surfaces import Surfaces
+
+app = typer.Typer(
+    name="receiver", help="Takes a surface's packets in and grows the surface back.", no_args_is_help=True
+)
+
+GRACE_SECONDS = 5
+"""How long a stop waits for answers that are under way."""
+
+
+@app.callback()
+def main() -> None:
+    """Takes a surface's packets in and grows the surface back."""
+
+
+class Server(uvicorn.Server):
+    """A server that ends event streams when it is told to stop, instead of waiting for their readers to leave."""
+
+    def __init__(self, config: uvicorn.Config, application: FastAPI) -> None:
+        super().__init__(config)
+        self._application = application
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        surfaces: Surfaces | None = self._application.state.surfaces
+        if surfaces is not None:
+            surfaces.changes.close()
+        await super().shutdown(sockets)
+
+
+def _about(name: str) -> Any:
+    """What the command line says of a setting: the settings' own words."""
+    return Settings.model_fields[name].description
+
+
+def _fail(message: str) -> typer.Exit:
+    Console(stderr=True, soft_wrap=True).print(f"[bold red]error:[/] {escape(message)}", highlight=False)
+    return typer.Exit(1)
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((host, port))
+    except OSError:
+        listener.close()
+        raise
+    return listener
+
+
+@app.command()
+def serve(
+    host: Annotated[str | None, typer.Option(help=_about("host"))] = None,
+    port: Annotated[int | None, typer.Option(help=_about("port"))] = None,
+    data: Annotated[Path | None, typer.Option(help=_about("data"), metavar="DIR")] = None,
+    channel: Annotated[str | None, typer.Option(help=_about("channel"), metavar="SPEC")] = None,
+    seed: Annotated[int | None, typer.Option(help=_about("seed"))] = None,
+    channel_control: Annotated[
+        bool | None, typer.Option("--channel-control/--no-channel-control", help=_about("channel_control"))
+    ] = None,
+    trainings: Annotated[int | None, typer.Option(help=_about("trainings"))] = None,
+    max_body_bytes: Annotated[int | None, typer.Option(help=_about("max_body_bytes"))] = None,
+    access_log: Annotated[bool, typer.Option(help="Whether each request is logged.")] = False,
+) -> None:
+    """Serve until it is stopped. What is not given here is read from RECEIVER_... in the environment."""
+    given: dict[str, Any] = {
+        "host": host,
+        "port": port,
+        "data": data,
+        "channel": channel,
+        "seed": seed,
+        "channel_control": channel_control,
+        "trainings": trainings,
+        "max_body_bytes": max_body_bytes,
+    }
+    try:
+        settings = Settings(**{name: value for name, value in given.items() if value is not None})
+        application = create_app(settings)
+        Store(settings.data).close()  # says what is wrong with the folder before anything listens
+        listener = _listen(settings.host, settings.port)
+    except ValidationError as error:
+        raise _fail("; ".join(f"{field.place}: {field.detail}" for field in invalid_fields(error.errors()))) from None
+    except SurfacelinkError as error:
+        raise _fail(error.detail) from None
+    except OSError as error:
+        raise _fail(
+            f"cannot listen on {settings.host} port {settings.port}: {error.strerror or error}; choose another --port"
+        ) from None
+    logging.captureWarnings(True)
+    bound = listener.getsockname()[1]
+    shown = f"[{settings.host}]" if ":" in settings.host else settings.host
+    out = Console(soft_wrap=True)
+    out.print(f"receiver  http://{shown}:{bound}", highlight=False)
+    out.print(f"data      {settings.data.resolve()}", highlight=False)
+    out.print(f"channel   {application.state.channel}", highlight=False)
+    config = uvicorn.Config(
+        application,
+        log_level="info" if access_log else "warning",
+        access_log=access_log,
+        timeout_graceful_shutdown=GRACE_SECONDS,
+        lifespan="on",
+    )
+    with listener:
+        Server(config, application).run(sockets=[listener])
+
+
+if __name__ == "__main__":
+    app()

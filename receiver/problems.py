@@ -1,0 +1,178 @@
+"""Every error as RFC 9457 `application/problem+json`: ours, those of validation, of routing, and the unforeseen."""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Mapping, Sequence
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import Response
+from pydantic import BaseModel, Field
+from starlette.exceptions import HTTPException
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from common.errors import LimitError, NotFoundError, SurfacelinkError
+
+MEDIA_TYPE = "application/problem+json"
+
+logger = logging.getLogger(__name__)
+
+
+class InvalidField(BaseModel):
+    """One part of a request that was not acceptable."""
+
+    place: str = Field(description="Where it stands: query, path, header or body.", examples=["query"])
+    name: str = Field(description="Its name.", examples=["shape"])
+    detail: str = Field(description="What is accepted.", examples=["expected rows,columns"])
+
+
+class Problem(BaseModel):
+    """An error as RFC 9457 describes it."""
+
+    type: str = Field(description="Identifies the kind of error; it can be fetched.", examples=["/problems/not-found"])
+    title: str = Field(description="The same for every error of the kind.", examples=["Not found"])
+    status: int = Field(description="The HTTP status.", examples=[404])
+    detail: str | None = Field(default=None, description="What was wrong this time, and what is accepted.")
+    errors: list[InvalidField] | None = Field(default=None, description="The fields at fault, where there are some.")
+
+
+def slug(kind: type[SurfacelinkError]) -> str:
+    """The name of an error class in a problem's type: NotReadyError is not-ready."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "-", kind.__name__.removesuffix("Error")).lower()
+
+
+def kinds(root: type[SurfacelinkError] = SurfacelinkError) -> dict[str, type[SurfacelinkError]]:
+    """All kinds of error there are, by their name in a problem's type."""
+    found = {slug(root): root}
+    for child in root.__subclasses__():
+        found |= kinds(child)
+    return found
+
+
+def problem_of(error: SurfacelinkError) -> Problem:
+    """The problem an error of ours means."""
+    return Problem(type=f"/problems/{slug(type(error))}", title=error.title, status=error.status, detail=error.detail)
+
+
+def respond(problem: Problem, headers: Mapping[str, str] | None = None) -> Response:
+    """A problem as an HTTP answer."""
+    return Response(
+        problem.model_dump_json(exclude_none=True),
+        status_code=problem.status,
+        media_type=MEDIA_TYPE,
+        headers={"Cache-Control": "no-store", **(headers or {})},
+    )
+
+
+def _plain(status: int, detail: str | None = None) -> Problem:
+    return Problem(type="about:blank", title=HTTPStatus(status).phrase, status=status, detail=detail)
+
+
+def _headers_of(error: SurfacelinkError) -> dict[str, str]:
+    retry_after = getattr(error, "retry_after", None)
+    return {} if retry_after is None else {"Retry-After": str(retry_after)}
+
+
+async def _on_surfacelink_error(_request: Request, error: Exception) -> Response:
+    if not isinstance(error, SurfacelinkError):
+        raise error
+    if error.status >= HTTPStatus.INTERNAL_SERVER_ERROR:
+        logger.error("%s: %s", error.title, error.detail)
+    return respond(problem_of(error), _headers_of(error))
+
+
+async def _on_http_exception(request: Request, error: Exception) -> Response:
+    if not isinstance(error, HTTPException):
+        raise error
+    details = {
+        HTTPStatus.NOT_FOUND: f"there is nothing at {request.url.path}; /docs lists what there is",
+        HTTPStatus.METHOD_NOT_ALLOWED: f"{request.method} is not possible here; see the header Allow",
+    }
+    return respond(_plain(error.status_code, details.get(HTTPStatus(error.status_code))), error.headers)
+
+
+def invalid_fields(errors: Sequence[Mapping[str, Any]]) -> list[InvalidField]:
+    """pydantic's findings without the values it met."""
+    fields = []
+    for error in errors:
+        place, *name = (str(part) for part in error["loc"])
+        fields.append(
+            InvalidField(
+                place=place,
+                name=".".join(name) or place,
+                detail=str(error["msg"]).removeprefix("Value error, "),
+            )
+        )
+    return fields
+
+
+async def _on_validation_error(_request: Request, error: Exception) -> Response:
+    if not isinstance(error, RequestValidationError):
+        raise error
+    fields = invalid_fields(error.errors())
+    detail = "; ".join(f"{field.name}: {field.detail}" for field in fields)
+    return respond(
+        Problem(type="/problems/parameter", title="Parameter out of bounds", status=422, detail=detail, errors=fields)
+    )
+
+
+async def _on_anything_else(_request: Request, _error: Exception) -> Response:
+    return respond(_plain(500, "the fault is the receiver's; its log says more"))
+
+
+def install(app: FastAPI) -> None:
+    """Make `app` answer each error as a problem."""
+    app.add_exception_handler(SurfacelinkError, _on_surfacelink_error)
+    app.add_exception_handler(HTTPException, _on_http_exception)
+    app.add_exception_handler(RequestValidationError, _on_validation_error)
+    app.add_exception_handler(Exception, _on_anything_else)
+
+    @app.get("/problems/{name}", tags=["errors"], summary="What a kind of error means")
+    def explain(name: str) -> Problem:
+        kind = kinds().get(name)
+        if kind is None:
+            raise NotFoundError(f"no such kind of error; there are {', '.join(sorted(kinds()))}")
+        meaning = " ".join((kind.__doc__ or "").split())
+        return Problem(type=f"/problems/{name}", title=kind.title, status=kind.status, detail=meaning)
+
+
+class Guard:
+    """ASGI middleware around all others: limits the body, and answers our errors that are raised outside the routes."""
+
+    def __init__(self, app: ASGIApp, max_body_bytes: int) -> None:
+        self.app = app
+        self.max_body_bytes = max_body_bytes
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        received = 0
+        started = False
+
+        async def limited() -> Message:
+            nonlocal received
+            message = await receive()
+            received += len(message.get("body", b""))
+            if received > self.max_body_bytes:
+                raise LimitError(f"the body is longer than {self.max_body_bytes} bytes")
+            return message
+
+        async def noted(message: Message) -> None:
+            nonlocal started
+            started = True
+            await send(message)
+
+        try:
+            declared = dict(scope["headers"]).get(b"content-length", b"0")
+            if declared.isdigit() and int(declared) > self.max_body_bytes:
+                raise LimitError(f"the body is longer than {self.max_body_bytes} bytes")
+            await self.app(scope, limited, noted)
+        except SurfacelinkError as error:
+            if started:
+                raise
+            await respond(problem_of(error), _headers_of(error))(scope, receive, send)

@@ -1,0 +1,328 @@
+"""What was received and trained, kept on disk: one SQLite file in a folder.
+
+A call returns when the disk has what it was told (``synchronous=FULL``), so nothing that is acknowledged after it can
+be lost. Calls block: the service makes them in threads.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import sqlite3
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from hashlib import sha256
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+from zipfile import BadZipFile
+
+import numpy as np
+import numpy.typing as npt
+
+from common.errors import NotFoundError, StoreError
+
+SCHEMA_VERSION = 1
+
+_SCHEMA = """
+CREATE TABLE surfaces (
+    n        INTEGER PRIMARY KEY AUTOINCREMENT,
+    id       TEXT NOT NULL UNIQUE,
+    created  TEXT NOT NULL,
+    updated  TEXT NOT NULL,
+    revision INTEGER NOT NULL,  -- grows with every body that changed what is trained on
+    features TEXT,              -- SHA-256 of the points that are here
+    settings TEXT NOT NULL,     -- of the network, JSON
+    contents TEXT NOT NULL,     -- what has arrived, JSON
+    failed   INTEGER,           -- the revision whose training failed
+    error    TEXT               -- the problem it failed with, JSON
+) STRICT;
+CREATE TABLE arrivals (
+    k       INTEGER PRIMARY KEY, -- in order of arrival
+    surface INTEGER NOT NULL REFERENCES surfaces (n) ON DELETE CASCADE,
+    packets BLOB NOT NULL       -- those of one body that were new, end to end
+) STRICT;
+CREATE INDEX arrivals_of ON arrivals (surface);
+CREATE TABLE models (
+    surface  INTEGER PRIMARY KEY REFERENCES surfaces (n) ON DELETE CASCADE,
+    revision INTEGER NOT NULL,  -- what it was trained on
+    digest   TEXT NOT NULL,     -- SHA-256 of state
+    summary  TEXT NOT NULL,     -- JSON
+    state    BLOB NOT NULL      -- npz without pickle
+) STRICT;
+"""
+
+_ROW = """
+SELECT s.n, s.id, s.created, s.updated, s.revision, s.features, s.settings, s.contents, s.failed, s.error,
+       m.revision, m.digest, m.summary
+FROM surfaces s LEFT JOIN models m ON m.surface = s.n
+"""
+
+State = dict[str, npt.NDArray[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A surface as it is kept.
+
+    Attributes
+    ----------
+    n : int
+        Its number, in order of first arrival; never given twice.
+    revision : int
+        Grows with every body that changed what is trained on.
+    features : str or None
+        SHA-256 of the feature points that are here, None while there are none.
+    trained, failed : int or None
+        The revision that the kept model was trained on; the one whose training failed with `error`.
+    """
+
+    n: int
+    id: str
+    created: str
+    updated: str
+    revision: int
+    features: str | None
+    settings: dict[str, Any]
+    contents: dict[str, Any]
+    failed: int | None
+    error: dict[str, Any] | None
+    trained: int | None
+    digest: str | None
+    summary: dict[str, Any] | None
+
+    @classmethod
+    def of(cls, values: Sequence[Any]) -> Self:
+        """A row of `_ROW`."""
+        n, name, created, updated, revision, features, settings, contents, *rest = values
+        failed, error, trained, digest, summary = rest
+        return cls(
+            n=n,
+            id=name,
+            created=created,
+            updated=updated,
+            revision=revision,
+            features=features,
+            settings=json.loads(settings),
+            contents=json.loads(contents),
+            failed=failed,
+            error=json.loads(error) if error else None,
+            trained=trained,
+            digest=digest,
+            summary=json.loads(summary) if summary else None,
+        )
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+def pack_state(state: State) -> bytes:
+    """Arrays by name as npz bytes, the same bytes for the same arrays; raises StoreError for arrays of objects."""
+    buffer = io.BytesIO()
+    try:
+        np.savez(buffer, allow_pickle=False, **state)
+    except ValueError as error:
+        raise StoreError(f"a model's state must be plain arrays: {error}") from error
+    return buffer.getvalue()
+
+
+def unpack_state(data: bytes) -> State:
+    """The arrays of `pack_state`; raises StoreError where `data` is something else."""
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except (ValueError, OSError, BadZipFile, KeyError, EOFError) as error:
+        raise StoreError("a stored model cannot be read") from error
+
+
+class Store:
+    """The file ``receiver.sqlite3`` in `folder`, which is made where it is missing.
+
+    Safe to call from several threads. One process at a time owns the file.
+
+    Raises
+    ------
+    StoreError
+        If the folder cannot be written, another process owns the file, or it was written by a newer version; from
+        every method where the disk fails.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / "receiver.sqlite3"
+        self._lock = threading.Lock()
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise StoreError(f"the data folder {folder} cannot be made: {error.strerror}") from error
+        try:
+            self._db = sqlite3.connect(self.path, timeout=1.0, isolation_level=None, check_same_thread=False)
+        except sqlite3.Error as error:
+            raise StoreError(f"the data folder {folder} cannot be used: {error}") from error
+        try:
+            self._prepare()
+        except sqlite3.Error as error:
+            self._db.close()
+            if "locked" in str(error):
+                raise StoreError(f"the data folder {folder} is in use by another receiver") from error
+            raise StoreError(f"{self.path} cannot be used: {error}") from error
+        except StoreError:
+            self._db.close()
+            raise
+
+    def _prepare(self) -> None:
+        # The caches of a receiver hold only while no other process writes.
+        self._db.execute("PRAGMA locking_mode = EXCLUSIVE")
+        self._db.execute("PRAGMA journal_mode = WAL")
+        self._db.execute("PRAGMA synchronous = FULL")
+        self._db.execute("PRAGMA foreign_keys = ON")
+        self._db.execute("BEGIN EXCLUSIVE")
+        (version,) = self._db.execute("PRAGMA user_version").fetchone()
+        if version == 0:
+            for statement in _SCHEMA.split(";"):
+                self._db.execute(statement)
+            self._db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+        elif version != SCHEMA_VERSION:
+            raise StoreError(
+                f"{self.path} has schema version {version}, this receiver knows {SCHEMA_VERSION}; "
+                "start a newer receiver, or choose another folder"
+            )
+        self._db.execute("COMMIT")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Release the file."""
+        with self._lock:
+            self._db.close()
+
+    @contextmanager
+    def _transaction(self) -> Iterator[sqlite3.Connection]:
+        with self._lock:
+            try:
+                self._db.execute("BEGIN IMMEDIATE")
+                try:
+                    yield self._db
+                except BaseException:
+                    self._db.execute("ROLLBACK")
+                    raise
+                self._db.execute("COMMIT")
+            except sqlite3.Error as error:
+                raise StoreError(f"the store failed: {error}") from error
+
+    def _fetch(self, sql: str, values: Sequence[Any] = ()) -> list[Any]:
+        with self._lock:
+            try:
+                return self._db.execute(sql, values).fetchall()
+            except sqlite3.Error as error:
+                raise StoreError(f"the store failed: {error}") from error
+
+    def receive(
+        self,
+        name: str,
+        packets: bytes,
+        *,
+        features: str | None,
+        settings: dict[str, Any],
+        contents: dict[str, Any],
+        renew: bool,
+    ) -> Row:
+        """Keep new packets of the surface `name` and what is known of it by now; `renew` starts a new revision."""
+        now = _now()
+        with self._transaction() as db:
+            db.execute(
+                "INSERT INTO surfaces (id, created, updated, revision, features, settings, contents)"
+                " VALUES (?, ?, ?, ?, ?, ?, ?)"
+                " ON CONFLICT (id) DO UPDATE SET updated = excluded.updated, revision = revision + excluded.revision,"
+                " features = excluded.features, settings = excluded.settings, contents = excluded.contents",
+                (name, now, now, int(renew), features, json.dumps(settings), json.dumps(contents)),
+            )
+            row = Row.of(db.execute(_ROW + "WHERE s.id = ?", (name,)).fetchone())
+            if packets:
+                db.execute("INSERT INTO arrivals (surface, packets) VALUES (?, ?)", (row.n, packets))
+            return row
+
+    def find(self, name: str) -> Row | None:
+        """The surface `name`, None where there is none."""
+        rows = self._fetch(_ROW + "WHERE s.id = ?", (name,))
+        return Row.of(rows[0]) if rows else None
+
+    def get(self, name: str) -> Row:
+        """The surface `name`; raises NotFoundError where there is none."""
+        row = self.find(name)
+        if row is None:
+            raise NotFoundError(f"there is no surface {name!r}; GET /v1/surfaces lists them")
+        return row
+
+    def latest(self, *, before: int | None = None, limit: int) -> list[Row]:
+        """At most `limit` surfaces, the latest first, from those older than number `before`."""
+        where = "" if before is None else "WHERE s.n < ?"
+        values = (limit,) if before is None else (before, limit)
+        return [Row.of(row) for row in self._fetch(f"{_ROW} {where} ORDER BY s.n DESC LIMIT ?", values)]
+
+    def untrained(self) -> list[Row]:
+        """Surfaces whose latest revision is neither trained nor failed, the oldest first."""
+        return [
+            Row.of(row)
+            for row in self._fetch(
+                f"{_ROW} WHERE s.revision > 0 AND s.revision IS NOT m.revision AND s.revision IS NOT s.failed"
+                " ORDER BY s.n"
+            )
+        ]
+
+    def count(self) -> int:
+        """How many surfaces there are."""
+        ((n,),) = self._fetch("SELECT COUNT(*) FROM surfaces")
+        return int(n)
+
+    def arrivals(self, n: int) -> list[bytes]:
+        """What arrived of surface number `n`, a run of packets each, in order of arrival."""
+        return [data for (data,) in self._fetch("SELECT packets FROM arrivals WHERE surface = ? ORDER BY k", (n,))]
+
+    def trained(self, n: int, revision: int, *, state: State, summary: dict[str, Any]) -> None:
+        """Keep the model that was trained on `revision` of surface number `n`; nothing if that is deleted by now."""
+        data = pack_state(state)
+        with self._transaction() as db:
+            db.execute(
+                "INSERT OR REPLACE INTO models SELECT n, ?, ?, ?, ? FROM surfaces WHERE n = ?",
+                (revision, sha256(data).hexdigest(), json.dumps(summary), data, n),
+            )
+            db.execute("UPDATE surfaces SET updated = ? WHERE n = ?", (_now(), n))
+
+    def failed(self, n: int, revision: int, error: dict[str, Any]) -> None:
+        """Keep that training on `revision` of surface number `n` failed."""
+        with self._transaction() as db:
+            db.execute(
+                "UPDATE surfaces SET failed = ?, error = ?, updated = ? WHERE n = ?",
+                (revision, json.dumps(error), _now(), n),
+            )
+
+    def model(self, n: int) -> State | None:
+        """The state of the model of surface number `n`, None where there is none."""
+        rows = self._fetch("SELECT state FROM models WHERE surface = ?", (n,))
+        return unpack_state(rows[0][0]) if rows else None
+
+    def forget_model(self, n: int) -> None:
+        """Drop the model of surface number `n`, so that it counts as untrained."""
+        with self._transaction() as db:
+            db.execute("DELETE FROM models WHERE surface = ?", (n,))
+
+    def delete(self, name: str) -> Row:
+        """Remove a surface and all that belongs to it; raises NotFoundError where there is none."""
+        row = self.get(name)
+        with self._transaction() as db:
+            db.execute("DELETE FROM surfaces WHERE n = ?", (row.n,))
+        return row
+
+    def ping(self) -> None:
+        """Raise StoreError unless the store answers."""
+        self._fetch("SELECT 1")

@@ -1,0 +1,368 @@
+"""What the receiver does: take packets in, keep them, train, and answer with what came of it. Knows no HTTP."""
+
+from __future__ import annotations
+
+import logging
+from collections import OrderedDict
+from collections.abc import AsyncIterator, Callable, Hashable
+from contextlib import asynccontextmanager
+from functools import partial
+from hashlib import sha256
+from typing import Any, Generic, Self, TypeAlias, TypeVar
+from weakref import WeakValueDictionary
+
+import anyio
+from anyio.to_thread import run_sync as run_in_thread
+
+from common.errors import ConflictError, NotReadyError, PacketError, StoreError, SurfacelinkError, WireError
+from common.network.model import NetworkSettings, SurfaceModel
+from common.surface import FeatureSet
+from common.wire import PacketDecoder, Reassembly, split, transmission_tag
+from common.wire.packet import Packet, write_datagrams
+from receiver import schemas
+from receiver.events import Changes
+from receiver.metrics import Metrics
+from receiver.problems import problem_of
+from receiver.store import Row, Store
+from receiver.training import Trainings
+
+logger = logging.getLogger(__name__)
+
+Train: TypeAlias = Callable[..., SurfaceModel]
+"""`SurfaceModel.train`, or what stands in for it: (features, settings, *, callback) -> SurfaceModel."""
+
+Value = TypeVar("Value")
+
+
+class _Recent(Generic[Value]):
+    """The values that were used last, up to `size` of them."""
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._values: OrderedDict[Hashable, Value] = OrderedDict()
+
+    def get(self, key: Hashable) -> Value | None:
+        if key in self._values:
+            self._values.move_to_end(key)
+        return self._values.get(key)
+
+    def put(self, key: Hashable, value: Value) -> None:
+        self._values[key] = value
+        self._values.move_to_end(key)
+        while len(self._values) > self._size:
+            self._values.popitem(last=False)
+
+    def drop(self, key: Hashable) -> None:
+        self._values.pop(key, None)
+
+
+class StillTraining(NotReadyError):  # noqa: N818 - a state that passes, not a fault
+    """The surface has no result yet, and will have one without being asked again."""
+
+    retry_after = 1
+
+
+class Surfaces:
+    """The surfaces of a receiver.
+
+    For one event loop. Work that takes time runs in threads; bodies of one surface are taken in one after the other.
+    Make it with `open`.
+    """
+
+    def __init__(
+        self, store: Store, trainings: Trainings, changes: Changes, metrics: Metrics, cached: int, train: Train
+    ) -> None:
+        self.store = store
+        self.trainings = trainings
+        self.changes = changes
+        self.metrics = metrics
+        self._train = train
+        self._locks: WeakValueDictionary[str, anyio.Lock] = WeakValueDictionary()
+        self._reassemblies: _Recent[Reassembly] = _Recent(cached)
+        self._models: _Recent[SurfaceModel] = _Recent(cached)
+
+    @classmethod
+    @asynccontextmanager
+    async def open(
+        cls,
+        store: Store,
+        *,
+        trainings: int,
+        cached: int,
+        metrics: Metrics,
+        train: Train = SurfaceModel.train,
+    ) -> AsyncIterator[Self]:
+        """The surfaces in `store`; what was not trained to its end is started again."""
+        changes = Changes()
+        async with anyio.create_task_group() as group:
+            jobs = Trainings(group, trainings, changes.publish)
+            surfaces = cls(store, jobs, changes, metrics, cached, train)
+            for row in await run_in_thread(store.untrained):
+                group.start_soon(surfaces._resume, row)
+            try:
+                yield surfaces
+            finally:
+                changes.close()
+                jobs.cancel_all()
+                group.cancel_scope.cancel()
+
+    def _lock(self, name: str) -> anyio.Lock:
+        return self._locks.setdefault(name, anyio.Lock())
+
+    # Taking in
+
+    async def receive(self, name: str, body: bytes, network: dict[str, Any], *, sent: bytes) -> schemas.Receipt:
+        """Take in a body of packets of the surface `name`, and train if it brought something new.
+
+        Parameters
+        ----------
+        name : str
+        body : bytes
+        network : dict
+            Settings of the network that were given; those given earlier hold on.
+        sent : bytes
+            The body as it was before the channel, of which nothing may be left.
+
+        Raises
+        ------
+        PacketError
+            If the body held no packet when it was sent.
+        ConflictError
+            If its packets belong to another transmission, or to other features under the same name.
+        LimitError
+            If it holds more than the wire's limits allow.
+        """
+        async with self._lock(name):
+            try:
+                row, delivery, features = await run_in_thread(self._take_in, name, body, network, sent)
+            except BaseException:
+                # The packets may be in the reassembly and not on disk.
+                self._reassemblies.drop(name)
+                raise
+            self.metrics.packets(delivery)
+            if features is not None:
+                self._start(row, features)
+            self.changes.publish(name)
+        contents = schemas.Contents.model_validate(row.contents)
+        return schemas.Receipt(
+            id=name,
+            state=schemas.state_of(row),
+            packets=contents.packets,
+            points=contents.points,
+            complete=contents.complete,
+            delivery=delivery,
+            links=schemas.Links.of(name),
+        )
+
+    def _take_in(
+        self, name: str, body: bytes, network: dict[str, Any], sent: bytes
+    ) -> tuple[Row, schemas.Delivery, FeatureSet | None]:
+        """Blocks. The features are those to train on, None where nothing is new."""
+        decoder = PacketDecoder()
+        packets = [*decoder.feed(body), *decoder.close()]
+        if not packets and not _framed(sent):
+            raise PacketError("the body holds no packet; accepted is a run of packets as docs/wire.md specifies them")
+        tag = transmission_tag(name)
+        row, reassembly = self._reassembly(name)
+        fates: dict[str, int] = {"new": 0, "duplicate": 0, "foreign": 0}
+        fresh: list[Packet] = []
+        for packet in packets:
+            fate = reassembly.add(packet)
+            fates[fate] += 1
+            if fate == "new":
+                fresh.append(packet)
+        if packets and fates["foreign"] == len(packets):
+            raise ConflictError("the packets belong to another transmission; post them under the id they were made for")
+        delivery = schemas.Delivery(damaged=decoder.damaged, **fates)
+        features = reassembly.features() if reassembly.points else None
+        digest = None if features is None else sha256(features.points.tobytes()).hexdigest()
+        changed = digest != (row.features if row else None)
+        # A copy of a packet that is here already can be the better one and replace it.
+        kept = [packet for packet in packets if packet.tag == tag] if changed else fresh
+        before = row.settings if row else {}
+        settings = before | network
+        renew = features is not None and (changed or NetworkSettings(**settings) != NetworkSettings(**before))
+        row = self.store.receive(
+            name,
+            b"".join(_datagram(packet) for packet in kept),
+            features=digest,
+            settings=settings,
+            contents=_contents(reassembly, features, row, delivery).model_dump(),
+            renew=renew,
+        )
+        self._reassemblies.put(name, reassembly)
+        return row, delivery, features if renew else None
+
+    def _reassembly(self, name: str) -> tuple[Row | None, Reassembly]:
+        """What has arrived of `name`, from memory or from disk."""
+        rows = self.store.find(name)
+        if rows is None:
+            return None, Reassembly(name)
+        reassembly = self._reassemblies.get(name)
+        if reassembly is None:
+            reassembly = Reassembly(name)
+            for arrival in self.store.arrivals(rows.n):
+                decoder = PacketDecoder()
+                for packet in (*decoder.feed(arrival), *decoder.close()):
+                    reassembly.add(packet)
+        return rows, reassembly
+
+    # Training
+
+    def _start(self, row: Row, features: FeatureSet) -> None:
+        def work(callback: Callable[[str, float], None]) -> SurfaceModel:
+            with self.metrics.training():
+                return self._train(features, NetworkSettings(**row.settings), callback=callback)
+
+        self.trainings.start(row.id, work, partial(self._finish, row))
+
+    async def _resume(self, row: Row) -> None:
+        async with self._lock(row.id):
+            try:
+                _, reassembly = await run_in_thread(self._reassembly, row.id)
+                self._start(row, await run_in_thread(reassembly.features))
+            except SurfacelinkError:
+                logger.exception("training of %s could not be resumed", row.id)
+
+    async def _finish(self, row: Row, outcome: SurfaceModel | SurfacelinkError) -> None:
+        if isinstance(outcome, SurfacelinkError):
+            self.metrics.trained("failed")
+            problem = problem_of(outcome).model_dump(exclude_none=True)
+            await run_in_thread(self.store.failed, row.n, row.revision, problem)
+        else:
+            self.metrics.trained("ready")
+            await run_in_thread(self._keep, row, outcome)
+
+    def _keep(self, row: Row, model: SurfaceModel) -> None:
+        self.store.trained(row.n, row.revision, state=model.to_state(), summary=model.summary())
+        self._models.put((row.n, row.revision), model)
+
+    # Answering
+
+    def _progress(self, name: str) -> schemas.Progress | None:
+        job = self.trainings.get(name)
+        return None if job is None else schemas.Progress(stage=job.stage, fraction=job.fraction)
+
+    def _info(self, row: Row, *, brief: bool = False) -> schemas.SurfaceInfo:
+        return schemas.surface_info(row, self._progress(row.id), brief=brief)
+
+    async def info(self, name: str, *, brief: bool = False) -> schemas.SurfaceInfo:
+        """What is known of `name`; raises NotFoundError."""
+        return self._info(await run_in_thread(self.store.get, name), brief=brief)
+
+    async def list(self, *, before: int | None, limit: int) -> schemas.SurfaceList:
+        """At most `limit` surfaces, the latest first."""
+        rows = await run_in_thread(partial(self.store.latest, before=before, limit=limit + 1))
+        more = len(rows) > limit
+        return schemas.SurfaceList(
+            surfaces=[self._info(row, brief=True) for row in rows[:limit]],
+            next=f"/v1/surfaces?before={rows[limit - 1].n}&limit={limit}" if more else None,
+        )
+
+    async def settle(self, name: str, seconds: float) -> Row:
+        """`name` once it is ready or failed, or after `seconds` as it is then; raises NotFoundError."""
+        with self.changes.subscribe(name) as subscription:
+            row = await run_in_thread(self.store.get, name)
+            with anyio.move_on_after(seconds):
+                while schemas.state_of(row) not in ("ready", "failed") and await subscription.next() is not None:
+                    row = await run_in_thread(self.store.get, name)
+        return row
+
+    async def model(self, name: str, wait: float = 0.0) -> tuple[Row, SurfaceModel]:
+        """The trained model of `name`.
+
+        Raises
+        ------
+        NotFoundError
+            If there is no such surface.
+        NotReadyError
+            If it is not ready after `wait` seconds; says why.
+        """
+        row = await self.settle(name, wait)
+        match schemas.state_of(row):
+            case "receiving":
+                raise NotReadyError(f"no point of {name} has arrived yet; POST /v1/transmissions/{name} sends some")
+            case "training":
+                raise StillTraining(f"{name} is being trained; ask again, or add ?wait=60 to wait for it")
+            case "failed":
+                reason = (row.error or {}).get("detail", "see its error")
+                raise NotReadyError(f"{name} could not be trained: {reason}")
+        return row, await self._load(row)
+
+    async def _load(self, row: Row) -> SurfaceModel:
+        model = self._models.get((row.n, row.revision))
+        if model is not None:
+            return model
+        try:
+            model = await run_in_thread(self._revive, row)
+        except (SurfacelinkError, KeyError, ValueError, TypeError) as error:
+            # Written by another version, or harmed on disk: what it was trained on is still there.
+            logger.warning("the model of %s cannot be read and is trained again: %r", row.id, error)
+            await run_in_thread(self.store.forget_model, row.n)
+            await self._resume(await run_in_thread(self.store.get, row.id))
+            raise StillTraining(f"{row.id} is being trained; ask again, or add ?wait=60 to wait for it") from error
+        self._models.put((row.n, row.revision), model)
+        return model
+
+    def _revive(self, row: Row) -> SurfaceModel:
+        state = self.store.model(row.n)
+        if state is None:
+            raise StoreError("the model is gone")
+        return SurfaceModel.from_state(state)
+
+    async def features(self, name: str) -> tuple[Row, FeatureSet]:
+        """What has arrived of `name`; raises NotFoundError, and NotReadyError while there is no point."""
+        async with self._lock(name):
+            await run_in_thread(self.store.get, name)
+            row, reassembly = await run_in_thread(self._reassembly, name)
+            if row is None:
+                raise StoreError("the surface is gone")
+            return row, await run_in_thread(reassembly.features)
+
+    async def delete(self, name: str) -> None:
+        """Remove `name` and all that belongs to it; its training is called off. Raises NotFoundError."""
+        async with self._lock(name):
+            row = await run_in_thread(self.store.delete, name)
+            self.trainings.cancel(name)
+            self._reassemblies.drop(name)
+            self._models.drop((row.n, row.revision))
+        self.changes.publish(name)
+
+
+def _framed(body: bytes) -> bool:
+    """Whether `body` is a run of one packet or more, intact or not."""
+    try:
+        return bool(split(body))
+    except WireError:
+        return False
+
+
+def _datagram(packet: Packet) -> bytes:
+    """The bytes `packet` was decoded from."""
+    return write_datagrams(packet.header, [packet.block], packet.number)[0]
+
+
+def _contents(
+    reassembly: Reassembly, features: FeatureSet | None, row: Row | None, delivery: schemas.Delivery
+) -> schemas.Contents:
+    """What is known of a surface by now."""
+    before = schemas.Contents.model_validate(row.contents).packets if row else None
+    packets = schemas.PacketCounts(
+        received=reassembly.received,
+        damaged=(before.damaged if before else 0) + delivery.damaged,
+        duplicate=(before.duplicate if before else 0) + delivery.duplicate,
+        foreign=(before.foreign if before else 0) + delivery.foreign,
+        total=reassembly.total,
+        missing=[] if reassembly.total is None else list(reassembly.missing),
+    )
+    if features is None:
+        return schemas.Contents(packets=packets)
+    return schemas.Contents(
+        region=schemas.RegionInfo.of(features.region),
+        units=schemas.UnitsInfo.of(features.units),
+        gap=features.gap,
+        kind=features.kind,
+        points=len(features),
+        complete=reassembly.complete,
+        packets=packets,
+    )

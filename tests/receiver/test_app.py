@@ -1,0 +1,475 @@
+from __future__ import annotations
+
+import io
+import itertools
+import json
+import re
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import anyio
+import httpx
+import msgpack
+import numpy as np
+import pytest
+from PIL import Image
+
+from common.network.model import NetworkSettings, SurfaceModel
+from common.surface import FeatureSet, Region
+from common.wire import encode
+from tests.receiver.conftest import HEADERS, Client, Running, packets_of
+
+pytestmark = [
+    pytest.mark.anyio,
+    # What it says is in the network's notes; what is tested here is the service.
+    pytest.mark.filterwarnings("ignore::common.network.estimator.NetworkWarning"),
+]
+
+
+async def ready(client: Client, features: FeatureSet, name: str = "hills", **params: Any) -> dict[str, Any]:
+    """Send the features; what the receiver says of the surface once it is trained."""
+    answer = await client.transmit(name, b"".join(packets_of(features, name)), params=params)
+    assert answer.status_code == 202, answer.text
+    surface: dict[str, Any] = (await client.get(f"/v1/surfaces/{name}?wait=60")).json()
+    assert surface["state"] == "ready", surface["error"]
+    return surface
+
+
+def assert_problem(answer: httpx.Response, status: int, *words: str) -> dict[str, Any]:
+    assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    problem: dict[str, Any] = answer.json()
+    assert problem["status"] == status
+    assert problem["title"]
+    for word in words:
+        assert word in problem["detail"]
+    return problem
+
+
+async def test_a_transmission_becomes_a_surface(client: Client, features: FeatureSet) -> None:
+    packets = packets_of(features, "hills")
+    answer = await client.transmit("hills", b"".join(packets))
+    assert answer.status_code == 202
+    assert answer.headers["location"] == "/v1/surfaces/hills"
+    receipt = answer.json()
+    assert receipt["points"] == len(features)
+    assert receipt["complete"]
+    assert receipt["packets"] == {
+        "received": len(packets),
+        "damaged": 0,
+        "duplicate": 0,
+        "foreign": 0,
+        "total": len(packets),
+        "missing": [],
+    }
+    surface = (await client.get(answer.headers["location"], params={"wait": 60})).json()
+    assert surface["state"] == "ready"
+    assert surface["region"] == {"x_min": -2, "x_max": 2, "y_min": -1, "y_max": 1}
+    assert surface["gap"] == 1.0
+    assert surface["network"]["centers"] == len(features)
+
+
+async def test_the_receipt_says_what_is_missing_and_a_second_body_completes_it(
+    client: Client, features: FeatureSet
+) -> None:
+    packets = packets_of(features, "hills")
+    first = (await client.transmit("hills", packets[3] + packets[1])).json()
+    assert first["packets"]["missing"] == [i for i in range(len(packets)) if i not in (1, 3)]
+    assert not first["complete"]
+    second = (await client.transmit("hills", b"".join(packets))).json()
+    assert second["packets"]["missing"] == []
+    assert second["complete"]
+    assert second["delivery"] == {"new": len(packets) - 2, "duplicate": 2, "damaged": 0, "foreign": 0}
+
+
+async def test_a_repeated_body_changes_nothing(client: Client, features: FeatureSet) -> None:
+    await ready(client, features)
+    before = await client.get("/v1/surfaces/hills/grid")
+    answer = await client.transmit("hills", b"".join(packets_of(features, "hills")))
+    assert answer.json()["state"] == "ready"
+    assert (await client.get("/v1/surfaces/hills/grid")).content == before.content
+
+
+async def test_order_of_arrival_does_not_matter(client: Client, features: FeatureSet) -> None:
+    packets = packets_of(features, "hills")
+    grids = []
+    for order in (packets, packets[::-1]):
+        for packet in order:
+            await client.transmit("hills", packet)
+        grids.append((await client.get("/v1/surfaces/hills/grid?wait=60&f=npy")).content)
+        await client.delete("/v1/surfaces/hills")
+    assert grids[0] == grids[1]
+
+
+async def test_concurrent_bodies_lose_no_packet(client: Client, features: FeatureSet) -> None:
+    packets = packets_of(features, "hills")
+    async with anyio.create_task_group() as group:
+        for packet in packets:
+            group.start_soon(client.transmit, "hills", packet)
+    surface = (await client.get("/v1/surfaces/hills")).json()
+    assert surface["complete"]
+    assert surface["packets"]["received"] == len(packets)
+
+
+async def test_network_settings_reach_the_network_and_hold_on(client: Client, features: FeatureSet) -> None:
+    surface = await ready(client, features, spread="0.7", smoothing="0.01")
+    assert surface["settings"] == {"spread": 0.7, "smoothing": 0.01}
+    assert surface["network"]["spread"] == pytest.approx(0.7)
+    repeated = await client.transmit("hills", packets_of(features, "hills")[0], params={"spread": "1.5"})
+    assert repeated.json()["state"] == "training"
+    surface = (await client.get("/v1/surfaces/hills?wait=60")).json()
+    assert surface["settings"] == {"spread": 1.5, "smoothing": 0.01}
+    assert surface["network"]["spread"] == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize("query", ["spread=wide", "smoothing=-1", "max_centers=0", "mapping=up", "spred=1"])
+async def test_bad_network_settings_are_refused(client: Client, features: FeatureSet, query: str) -> None:
+    answer = await client.transmit(f"hills?{query}", packets_of(features, "hills")[0])
+    problem = assert_problem(answer, 422)
+    assert query.partition("=")[0] in {error["name"].partition(".")[0] for error in problem["errors"]}
+    assert (await client.get("/v1/surfaces")).json()["surfaces"] == []
+
+
+@pytest.mark.parametrize("body", [b"", b"hello", b"\x00" * 1000, msgpack.packb({"points": [1, 2, 3]})])
+async def test_a_body_without_packets_is_refused(client: Client, body: bytes) -> None:
+    assert_problem(await client.transmit("hills", body), 400, "no packet")
+    assert (await client.get("/v1/surfaces/hills")).status_code == 404
+
+
+async def test_damaged_packets_are_counted_and_the_others_kept(client: Client, features: FeatureSet) -> None:
+    packets = packets_of(features, "hills")
+    harmed = bytearray(packets[1])
+    harmed[-6] ^= 1
+    receipt = (await client.transmit("hills", packets[0] + bytes(harmed) + packets[2])).json()
+    assert receipt["packets"]["damaged"] == 1
+    assert receipt["packets"]["received"] == 2
+    assert 1 in receipt["packets"]["missing"]
+    alone = await client.transmit("dales", bytes(harmed))
+    assert alone.status_code == 202
+    assert alone.json()["state"] == "receiving"
+    assert alone.json()["packets"]["total"] is None
+
+
+async def test_a_channel_that_swallows_everything_is_no_error_of_the_sender(
+    running: Running, features: FeatureSet
+) -> None:
+    async with running(channel="erasure:p=1") as client:
+        answer = await client.transmit("hills", b"".join(packets_of(features, "hills")))
+        assert answer.status_code == 202
+        assert answer.json()["packets"]["received"] == 0
+        assert answer.json()["state"] == "receiving"
+        assert_problem(await client.get("/v1/surfaces/hills/grid"), 409, "no point")
+        for body in (b"", b"hello"):
+            assert_problem(await client.transmit("dales", body), 400)
+
+
+async def test_the_channel_harms_what_arrives(running: Running, features: FeatureSet) -> None:
+    async with running(channel="gaussian:std=0.5,axes=z", seed=3) as client:
+        await ready(client, features)
+        arrived = np.load(io.BytesIO((await client.get("/v1/surfaces/hills/features?f=npy")).content))
+    deviation = arrived[:, 2] - np.sin(2 * arrived[:, :2]).sum(axis=1)
+    assert 0.3 < deviation.std() < 0.7
+
+
+async def test_other_features_under_the_same_id_conflict_and_leave_it_as_it_was(
+    client: Client, features: FeatureSet
+) -> None:
+    await ready(client, features)
+    before = (await client.get("/v1/surfaces/hills/features")).content
+    other = FeatureSet(features.points * 2, Region(-4, 4, -2, 2))
+    assert_problem(await client.transmit("hills", b"".join(encode(other, transmission="hills"))), 409)
+    assert_problem(await client.transmit("hills", b"".join(packets_of(features, "dales"))), 409, "another transmission")
+    assert (await client.get("/v1/surfaces/hills/features")).content == before
+
+
+async def test_media_types(client: Client, features: FeatureSet) -> None:
+    packet = packets_of(features, "hills")[0]
+    for kind in ("application/vnd.msgpack", "application/msgpack", "application/x-msgpack; charset=binary"):
+        answer = await client.post("/v1/transmissions/hills", content=packet, headers={"Content-Type": kind})
+        assert answer.status_code == 202
+    for headers in ({"Content-Type": "application/json"}, {}, HEADERS | {"Content-Encoding": "gzip"}):
+        assert_problem(await client.post("/v1/transmissions/hills", content=packet, headers=headers), 415)
+
+
+@pytest.mark.parametrize("name", ["a" * 65, "a b", "ä", "a%2Fb", "%00"])
+async def test_bad_ids(client: Client, features: FeatureSet, name: str) -> None:
+    answer = await client.transmit(name, packets_of(features, "hills")[0])
+    assert answer.status_code in (404, 422)
+    assert answer.headers["content-type"] == "application/problem+json"
+
+
+async def test_bodies_are_limited(running: Running, features: FeatureSet) -> None:
+    async def endless() -> Any:
+        for _ in range(100):
+            yield bytes(1_000)
+
+    async with running(max_body_bytes=1_024, channel="clean") as client:
+        assert_problem(await client.transmit("hills", bytes(1_025)), 413, "1024 bytes")
+        answer = await client.post("/v1/transmissions/hills", content=endless(), headers=HEADERS)
+        assert_problem(answer, 413)
+    async with running(max_body_bytes=1_024, channel="erasure:p=0.5") as client:
+        assert_problem(await client.transmit("hills", bytes(1_025)), 413)
+        answer = await client.post("/v1/transmissions/hills", content=endless(), headers=HEADERS)
+        assert_problem(answer, 413)
+
+
+async def test_grid_forms_agree(client: Client, features: FeatureSet) -> None:
+    await ready(client, features)
+    url = "/v1/surfaces/hills/grid?shape=5,7&std=true"
+    told = (await client.get(url, headers={"Accept": "application/json"})).json()
+    x, y, z, std = (np.array(told[name]) for name in ("x", "y", "z", "std"))
+    assert z.shape == std.shape == (5, 7)
+    np.testing.assert_array_equal(x, np.linspace(-2, 2, 7))
+    np.testing.assert_array_equal(y, np.linspace(-1, 1, 5))
+    np.testing.assert_allclose(z, np.sin(2 * x) + np.sin(2 * y)[:, None], atol=0.1)
+
+    lines = (await client.get(url + "&f=csv")).text.splitlines()
+    assert lines[0] == "x,y,z,std"
+    table = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
+    np.testing.assert_array_equal(table[:, 2].reshape(5, 7), z)
+    np.testing.assert_array_equal(table[:7, 0], x)
+    np.testing.assert_array_equal(table[::7, 1], y)
+    np.testing.assert_array_equal(table[:, 3].reshape(5, 7), std)
+
+    np.testing.assert_array_equal(np.load(io.BytesIO((await client.get(url + "&f=npy")).content)), [z, std])
+    with np.load(io.BytesIO((await client.get(url + "&f=npz")).content)) as archive:
+        np.testing.assert_array_equal(archive["z"], z)
+        np.testing.assert_array_equal(archive["y"], y)
+    packed = msgpack.unpackb((await client.get(url + "&f=msgpack")).content)
+    np.testing.assert_array_equal(np.frombuffer(packed["z"], packed["dtype"]).reshape(packed["shape"]), z)
+
+
+async def test_bbox_is_a_part_of_the_same_surface(client: Client, features: FeatureSet) -> None:
+    await ready(client, features)
+    whole = (await client.get("/v1/surfaces/hills/grid?shape=9,9")).json()
+    part = (await client.get("/v1/surfaces/hills/grid?shape=5,5&bbox=-2,-1,0,0")).json()
+    np.testing.assert_allclose(np.array(whole["z"])[:5, :5], part["z"], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "shape=2",
+        "shape=a,b",
+        "shape=1,5",
+        "shape=-3,5",
+        "shape=1e3,5",
+        "shape=2001,2000",
+        "shape=999999999,2",
+        "bbox=0,0,1",
+        "bbox=0,0,nan,1",
+        "bbox=1,0,0,1",
+        "bbox=0,0,5,1",
+        "std=maybe",
+        "wait=-1",
+        "wait=1e9",
+        "wait=nan",
+        "palette=jet",
+    ],
+)
+async def test_bad_grid_requests_are_refused(client: Client, features: FeatureSet, query: str) -> None:
+    await ready(client, features)
+    assert_problem(await client.get(f"/v1/surfaces/hills/grid?{query}"), 422, query.partition("=")[0])
+
+
+async def test_the_picture_is_a_png_in_the_proportions_of_the_region(client: Client, features: FeatureSet) -> None:
+    await ready(client, features)
+    framed = Image.open(io.BytesIO((await client.get("/v1/surfaces/hills/grid?f=png")).content))
+    assert framed.width == 1_000
+    bare = Image.open(io.BytesIO((await client.get("/v1/surfaces/hills/grid?f=png&colorbar=false")).content))
+    assert bare.size == (600, 300)
+    other = await client.get("/v1/surfaces/hills/grid?f=png&colorbar=false&palette=gray")
+    assert np.ptp(np.asarray(Image.open(io.BytesIO(other.content))), axis=2).max() <= 1
+
+
+async def test_etag(client: Client, features: FeatureSet) -> None:
+    await ready(client, features)
+    url = "/v1/surfaces/hills/grid?shape=3,3"
+    first = await client.get(url)
+    again = await client.get(url, headers={"If-None-Match": f'"other", {first.headers["etag"]}'})
+    assert again.status_code == 304
+    assert not again.content
+    for other in (url + "&std=true", url + "&f=csv", url.replace("3,3", "3,4"), url + "&bbox=0,0,1,1"):
+        assert (await client.get(other)).headers["etag"] != first.headers["etag"]
+
+
+async def test_features_and_network(client: Client, features: FeatureSet) -> None:
+    await ready(client, features)
+    told = (await client.get("/v1/surfaces/hills/features")).json()
+    arrived = np.column_stack([told[axis] for axis in "xyz"])
+    by_x = np.argsort(arrived[:, 0]), np.argsort(features.points[:, 0])
+    np.testing.assert_allclose(arrived[by_x[0]], features.points[by_x[1]], atol=1e-3)
+    assert (await client.get("/v1/surfaces/hills/features?f=csv")).text.startswith("x,y,z\n")
+    network = (await client.get("/v1/surfaces/hills/network")).json()
+    assert len(network["x"]) == network["centers"] == len(features)
+    with np.load(io.BytesIO((await client.get("/v1/surfaces/hills/network?f=npz")).content)) as archive:
+        np.testing.assert_array_equal(archive["x"], network["x"])
+    assert_problem(await client.get("/v1/surfaces/hills/features?f=png"), 406, "json, csv")
+
+
+async def test_list_is_in_pages_and_delete_removes(client: Client, features: FeatureSet) -> None:
+    for name in ("a", "b", "c"):
+        await ready(client, features, name)
+    page = (await client.get("/v1/surfaces?limit=2")).json()
+    assert [surface["id"] for surface in page["surfaces"]] == ["c", "b"]
+    rest = (await client.get(page["next"])).json()
+    assert [surface["id"] for surface in rest["surfaces"]] == ["a"]
+    assert rest["next"] is None
+    answer = await client.delete("/v1/surfaces/b")
+    assert (answer.status_code, answer.content) == (204, b"")
+    for call in (client.delete, client.get):
+        assert_problem(await call("/v1/surfaces/b"), 404, "no surface 'b'")
+    assert len((await client.get("/v1/surfaces")).json()["surfaces"]) == 2
+
+
+class Held:
+    """A training that waits in its thread until it is let go."""
+
+    def __init__(self) -> None:
+        self.go = threading.Event()
+        self.started = itertools.count()
+
+    def __call__(
+        self, features: FeatureSet, settings: NetworkSettings, *, callback: Callable[[str, float], None]
+    ) -> SurfaceModel:
+        next(self.started)
+        while not self.go.wait(0.005):
+            callback("waiting", 0.5)
+        return SurfaceModel.train(features, settings, callback=callback)
+
+
+async def test_while_a_training_runs(running: Running, features: FeatureSet) -> None:
+    held = Held()
+    async with running(train=held) as client:
+        packets = packets_of(features, "hills")
+        await client.transmit("hills", packets[0])
+        problem = await client.get("/v1/surfaces/hills/grid")
+        assert_problem(problem, 409, "being trained")
+        assert problem.headers["retry-after"] == "1"
+        assert (await client.get("/health/live")).json() == {"status": "ok"}
+        await client.transmit("hills", b"".join(packets))
+        held.go.set()
+        surface = (await client.get("/v1/surfaces/hills?wait=60")).json()
+        assert surface["state"] == "ready"
+        assert surface["network"]["centers"] == len(features)
+
+
+async def test_delete_calls_the_training_off(running: Running, features: FeatureSet) -> None:
+    async with running(train=Held()) as client:
+        await client.transmit("hills", packets_of(features, "hills")[0])
+        assert (await client.delete("/v1/surfaces/hills")).status_code == 204
+        with anyio.fail_after(10):
+            while len(client.app.state.surfaces.trainings):
+                await anyio.sleep(0.01)
+        assert (await client.get("/v1/surfaces/hills")).status_code == 404
+
+
+@pytest.mark.parametrize("secret", [True, False])
+async def test_a_training_that_fails_says_so(running: Running, features: FeatureSet, secret: bool) -> None:
+    def fail(features: FeatureSet, settings: NetworkSettings, *, callback: Any) -> SurfaceModel:
+        if secret:
+            raise RuntimeError("at /home/secret")
+        return SurfaceModel.train(FeatureSet(np.zeros((1, 3)), features.region), settings)
+
+    async with running(train=fail) as client:
+        await client.transmit("hills", packets_of(features, "hills")[0])
+        surface = (await client.get("/v1/surfaces/hills?wait=60")).json()
+        assert surface["state"] == "failed"
+        assert ("log says more" if secret else "at least") in surface["error"]["detail"]
+        assert "secret" not in str(surface)
+        assert_problem(await client.get("/v1/surfaces/hills/grid"), 409, "could not be trained")
+
+
+async def test_events_until_ready(running: Running, features: FeatureSet) -> None:
+    held = Held()
+    async with running(train=held) as client:
+        await client.transmit("hills", packets_of(features, "hills")[0])
+        held.go.set()
+        answer = await client.get("/v1/surfaces/hills/events")
+    assert answer.headers["content-type"].startswith("text/event-stream")
+    kinds = re.findall(r"^event: (\w+)$", answer.text, re.MULTILINE)
+    assert set(kinds) <= {"surface", "progress"}
+    assert kinds[-1] == "surface"
+    last = [line for line in answer.text.splitlines() if line.startswith("data: ")][-1]
+    assert json.loads(last.removeprefix("data: "))["state"] == "ready"
+
+
+async def test_events_of_an_unknown_surface(client: Client) -> None:
+    assert_problem(await client.get("/v1/surfaces/hills/events"), 404)
+
+
+async def test_the_channel_is_shown_and_set_only_where_allowed(running: Running) -> None:
+    async with running(channel="gaussian:std=0.1", seed=5) as client:
+        shown = (await client.get("/v1/channel")).json()
+        assert shown["impairments"] == [{"kind": "gaussian", "std": 0.1}]
+        assert shown["seed"] == 5
+        assert_problem(await client.put("/v1/channel", json={"spec": "clean"}), 403, "--channel-control")
+    async with running(channel_control=True) as client:
+        for document in ({"spec": "erasure:p=0.5", "seed": 9}, {"impairments": [{"kind": "erasure", "p": 0.5}]}):
+            shown = (await client.put("/v1/channel", json=document)).json()
+            assert shown["impairments"] == [{"kind": "erasure", "p": 0.5}]
+            assert (await client.get("/v1/channel")).json() == shown
+        wrong: list[Any] = [{"spec": "thunder"}, {"spec": 3}, {"spec": "clean", "sed": 1}, [], {"seed": -1}, "thunder"]
+        for bad in wrong:
+            assert_problem(await client.put("/v1/channel", json=bad), 422)
+        assert (await client.get("/v1/channel")).json() == shown
+        malformed = await client.put("/v1/channel", content=b"{", headers={"Content-Type": "application/json"})
+        assert_problem(malformed, 422)
+
+
+async def test_health_and_metrics(client: Client, features: FeatureSet) -> None:
+    assert (await client.get("/health/ready")).status_code == 200
+    await ready(client, features)
+    text = (await client.get("/metrics")).text
+    assert f'receiver_packets_total{{fate="new"}} {len(packets_of(features, "hills")):.1f}' in text
+    assert 'receiver_trainings_total{outcome="ready"} 1.0' in text
+    assert "receiver_surfaces 1.0" in text
+    assert 'route="/v1/transmissions/{id}",status="202"' in text
+
+
+async def test_errors_of_routing_are_problems(client: Client) -> None:
+    assert_problem(await client.get("/nothing/here"), 404, "/nothing/here")
+    answer = await client.put("/v1/surfaces", json={})
+    assert_problem(answer, 405)
+    assert "GET" in answer.headers["allow"]
+
+
+async def test_kinds_of_problem_can_be_looked_up(client: Client) -> None:
+    problem = assert_problem(await client.get("/v1/surfaces/none"), 404)
+    explained = (await client.get(problem["type"])).json()
+    assert explained["title"] == problem["title"]
+    assert_problem(await client.get("/problems/none"), 404)
+
+
+async def test_an_unforeseen_error_tells_nothing(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def broken(*_args: Any, **_options: Any) -> None:
+        raise RuntimeError("at /home/secret")
+
+    monkeypatch.setattr(client.app.state.surfaces, "list", broken)
+    answer = await client.get("/v1/surfaces")
+    assert_problem(answer, 500)
+    assert "secret" not in answer.text
+    assert "Traceback" not in answer.text
+
+
+async def test_nothing_is_answered_before_the_start(running: Running) -> None:
+    async with running() as client:
+        app = client.app
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://receiver") as late:
+        answer = await late.get("/health/ready")
+        assert_problem(answer, 503)
+        assert answer.headers["retry-after"] == "1"
+        assert (await late.get("/health/live")).status_code == 200
+
+
+async def test_the_openapi_document_is_complete(client: Client) -> None:
+    document = (await client.get("/openapi.json")).json()
+    for path, calls in document["paths"].items():
+        for method, call in calls.items():
+            assert call.get("summary"), (method, path)
+            for status, answer in call["responses"].items():
+                if int(status) >= 400:
+                    assert list(answer["content"]) == ["application/problem+json"], (method, path, status)
+    grid = document["paths"]["/v1/surfaces/{id}/grid"]["get"]
+    assert "image/png" in grid["responses"]["200"]["content"]
