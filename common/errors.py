@@ -23,6 +23,7 @@ Every error that surfacelink raises on purpose derives from `SurfacelinkError`::
     ├── MissingExtraError              501  needs a package that is not installed
     ├── StoreError                     503  what is kept on disk cannot be read or written
     └── LinkError                      502  the other end does not answer, or answers nonsense
+        └── RefusedError               502  the other end answered with a problem of its own
 """
 
 from __future__ import annotations
@@ -183,3 +184,22 @@ class LinkError(SurfacelinkError):
 
     status = 502
     title = "The other end failed"
+
+
+class RefusedError(LinkError):
+    """The other end answered with a problem (RFC 9457) of its own.
+
+    Attributes
+    ----------
+    answered : int
+        The HTTP status it answered with.
+    """
+
+    title = "Refused by the other end"
+
+    def __init__(self, message: str, answered: int) -> None:
+        super().__init__(message, answered)
+        self.answered = answered
+
+    def __str__(self) -> str:
+        return str(self.args[0])

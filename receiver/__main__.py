@@ -15,8 +15,8 @@ from rich.console import Console
 from rich.markup import escape
 
 from common.errors import SurfacelinkError
+from common.problems import problem_of_fields
 from receiver.app import create_app
-from receiver.problems import invalid_fields
 from receiver.settings import Settings
 from receiver.store import Store
 from receiver.surfaces import Surfaces
@@ -101,7 +101,7 @@ def serve(
         Store(settings.data).close()  # says what is wrong with the folder before anything listens
         listener = _listen(settings.host, settings.port)
     except ValidationError as error:
-        raise _fail("; ".join(f"{field.place}: {field.detail}" for field in invalid_fields(error.errors()))) from None
+        raise _fail(problem_of_fields(error.errors()).detail or "") from None
     except SurfacelinkError as error:
         raise _fail(error.detail) from None
     except OSError as error:

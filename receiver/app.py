@@ -19,16 +19,18 @@ from fastapi.responses import HTMLResponse, StreamingResponse
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from common.channel import Channel
+from common.channel.carrying import FAULTS_HEADER
 from common.errors import ChannelError, ForbiddenError, MediaTypeError, NotFoundError, NotReadyError, ParameterError
 from common.network.model import NetworkSettings, SurfaceModel
+from common.problems import MEDIA_TYPE as PROBLEM_TYPE
+from common.problems import Problem
 from common.wire import MEDIA_TYPES
 from receiver import grids, schemas
 from receiver.formats import GRID_FORMATS, TABLE_FORMATS, Format, Table, choose
 from receiver.metrics import CONTENT_TYPE, CountRequests, Metrics
 from receiver.middleware import SENT, ChannelMiddleware
 from receiver.picture import Palette, Style
-from receiver.problems import MEDIA_TYPE as PROBLEM_TYPE
-from receiver.problems import Guard, Problem, install
+from receiver.problems import Guard, install
 from receiver.settings import Settings
 from receiver.store import Row, Store
 from receiver.surfaces import Surfaces, Train
@@ -148,7 +150,8 @@ async def transmit(
     if request.headers.get("content-encoding", "identity").lower() != "identity":
         raise MediaTypeError("a body in a content coding is not accepted")
     body = await request.body()
-    sent: bytes = request.scope.get(SENT, body)
+    # A channel in front of this service says so; what it left need not be a packet.
+    sent: bytes | None = None if FAULTS_HEADER in request.headers else request.scope.get(SENT, body)
     receipt = await here.receive(name, body, network.model_dump(exclude_unset=True), sent=sent)
     response.headers["Location"] = receipt.links.surface
     return receipt

@@ -13,7 +13,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from common.channel import Channel
 from common.channel.carrying import ATTEMPT_HEADER, FAULTS_HEADER, attempt_of, carry, faults_header, transmission_of
 from common.errors import LimitError, SurfacelinkError
-from receiver.problems import problem_of, respond
+from common.problems import problem_of
+from receiver.problems import respond
 
 Sleep: TypeAlias = Callable[[float], Awaitable[None]]
 

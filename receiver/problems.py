@@ -3,59 +3,19 @@
 from __future__ import annotations
 
 import logging
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from http import HTTPStatus
-from typing import Any
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import Response
-from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from common.errors import LimitError, NotFoundError, SurfacelinkError
-
-MEDIA_TYPE = "application/problem+json"
+from common.problems import MEDIA_TYPE, Problem, kinds, problem_of, problem_of_fields, problem_of_status
 
 logger = logging.getLogger(__name__)
-
-
-class InvalidField(BaseModel):
-    """One part of a request that was not acceptable."""
-
-    place: str = Field(description="Where it stands: query, path, header or body.", examples=["query"])
-    name: str = Field(description="Its name.", examples=["shape"])
-    detail: str = Field(description="What is accepted.", examples=["expected rows,columns"])
-
-
-class Problem(BaseModel):
-    """An error as RFC 9457 describes it."""
-
-    type: str = Field(description="Identifies the kind of error; it can be fetched.", examples=["/problems/not-found"])
-    title: str = Field(description="The same for every error of the kind.", examples=["Not found"])
-    status: int = Field(description="The HTTP status.", examples=[404])
-    detail: str | None = Field(default=None, description="What was wrong this time, and what is accepted.")
-    errors: list[InvalidField] | None = Field(default=None, description="The fields at fault, where there are some.")
-
-
-def slug(kind: type[SurfacelinkError]) -> str:
-    """The name of an error class in a problem's type: NotReadyError is not-ready."""
-    return re.sub(r"(?<!^)(?=[A-Z])", "-", kind.__name__.removesuffix("Error")).lower()
-
-
-def kinds(root: type[SurfacelinkError] = SurfacelinkError) -> dict[str, type[SurfacelinkError]]:
-    """All kinds of error there are, by their name in a problem's type."""
-    found = {slug(root): root}
-    for child in root.__subclasses__():
-        found |= kinds(child)
-    return found
-
-
-def problem_of(error: SurfacelinkError) -> Problem:
-    """The problem an error of ours means."""
-    return Problem(type=f"/problems/{slug(type(error))}", title=error.title, status=error.status, detail=error.detail)
 
 
 def respond(problem: Problem, headers: Mapping[str, str] | None = None) -> Response:
@@ -66,10 +26,6 @@ def respond(problem: Problem, headers: Mapping[str, str] | None = None) -> Respo
         media_type=MEDIA_TYPE,
         headers={"Cache-Control": "no-store", **(headers or {})},
     )
-
-
-def _plain(status: int, detail: str | None = None) -> Problem:
-    return Problem(type="about:blank", title=HTTPStatus(status).phrase, status=status, detail=detail)
 
 
 def _headers_of(error: SurfacelinkError) -> dict[str, str]:
@@ -92,36 +48,17 @@ async def _on_http_exception(request: Request, error: Exception) -> Response:
         HTTPStatus.NOT_FOUND: f"there is nothing at {request.url.path}; /docs lists what there is",
         HTTPStatus.METHOD_NOT_ALLOWED: f"{request.method} is not possible here; see the header Allow",
     }
-    return respond(_plain(error.status_code, details.get(HTTPStatus(error.status_code))), error.headers)
-
-
-def invalid_fields(errors: Sequence[Mapping[str, Any]]) -> list[InvalidField]:
-    """pydantic's findings without the values it met."""
-    fields = []
-    for error in errors:
-        place, *name = (str(part) for part in error["loc"])
-        fields.append(
-            InvalidField(
-                place=place,
-                name=".".join(name) or place,
-                detail=str(error["msg"]).removeprefix("Value error, "),
-            )
-        )
-    return fields
+    return respond(problem_of_status(error.status_code, details.get(HTTPStatus(error.status_code))), error.headers)
 
 
 async def _on_validation_error(_request: Request, error: Exception) -> Response:
     if not isinstance(error, RequestValidationError):
         raise error
-    fields = invalid_fields(error.errors())
-    detail = "; ".join(f"{field.name}: {field.detail}" for field in fields)
-    return respond(
-        Problem(type="/problems/parameter", title="Parameter out of bounds", status=422, detail=detail, errors=fields)
-    )
+    return respond(problem_of_fields(error.errors()))
 
 
 async def _on_anything_else(_request: Request, _error: Exception) -> Response:
-    return respond(_plain(500, "the fault is the receiver's; its log says more"))
+    return respond(problem_of_status(500, "the fault is the receiver's; its log says more"))
 
 
 def install(app: FastAPI) -> None:

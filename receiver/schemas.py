@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from common import messages
+from common.messages import PacketCounts, State
+from common.problems import Problem
 from common.surface import Region, Units
-from receiver.problems import Problem
 from receiver.store import Row
-
-State: TypeAlias = Literal["receiving", "training", "ready", "failed"]
 
 
 class Answer(BaseModel):
@@ -43,17 +43,6 @@ class UnitsInfo(Answer):
     def of(cls, units: Units) -> UnitsInfo:
         """From the data type."""
         return cls(xy=units.xy, z=units.z)
-
-
-class PacketCounts(Answer):
-    """Packets of a surface so far."""
-
-    received: int = Field(description="Different packets that are here.", examples=[12])
-    damaged: int = Field(description="Packets that arrived damaged and were dropped.")
-    duplicate: int = Field(description="Packets that were here already.")
-    foreign: int = Field(description="Packets of another transmission.")
-    total: int | None = Field(description="Packets of the transmission; null until one of them is here.", examples=[13])
-    missing: list[int] = Field(description="Sequence numbers that are not here; empty while `total` is null.")
 
 
 class Contents(Answer):
@@ -106,14 +95,9 @@ class Links(Answer):
         )
 
 
-class Receipt(Answer):
+class Receipt(messages.Receipt):
     """The answer to a transmission."""
 
-    id: str
-    state: State
-    packets: PacketCounts
-    points: int = Field(description="Feature points that are here.")
-    complete: bool = Field(description="Whether no packet is missing.")
     delivery: Delivery
     links: Links
 

@@ -15,14 +15,15 @@ import anyio
 from anyio.to_thread import run_sync as run_in_thread
 
 from common.errors import ConflictError, NotReadyError, PacketError, StoreError, SurfacelinkError, WireError
+from common.messages import PacketCounts
 from common.network.model import NetworkSettings, SurfaceModel
+from common.problems import problem_of
 from common.surface import FeatureSet
 from common.wire import PacketDecoder, Reassembly, split, transmission_tag
 from common.wire.packet import Packet, write_datagrams
 from receiver import schemas
 from receiver.events import Changes
 from receiver.metrics import Metrics
-from receiver.problems import problem_of
 from receiver.store import Row, Store
 from receiver.training import Trainings
 
@@ -111,7 +112,7 @@ class Surfaces:
 
     # Taking in
 
-    async def receive(self, name: str, body: bytes, network: dict[str, Any], *, sent: bytes) -> schemas.Receipt:
+    async def receive(self, name: str, body: bytes, network: dict[str, Any], *, sent: bytes | None) -> schemas.Receipt:
         """Take in a body of packets of the surface `name`, and train if it brought something new.
 
         Parameters
@@ -120,8 +121,8 @@ class Surfaces:
         body : bytes
         network : dict
             Settings of the network that were given; those given earlier hold on.
-        sent : bytes
-            The body as it was before the channel, of which nothing may be left.
+        sent : bytes or None
+            The body as it was before the channel, of which nothing may be left; None where that is not known.
 
         Raises
         ------
@@ -155,12 +156,12 @@ class Surfaces:
         )
 
     def _take_in(
-        self, name: str, body: bytes, network: dict[str, Any], sent: bytes
+        self, name: str, body: bytes, network: dict[str, Any], sent: bytes | None
     ) -> tuple[Row, schemas.Delivery, FeatureSet | None]:
         """Blocks. The features are those to train on, None where nothing is new."""
         decoder = PacketDecoder()
         packets = [*decoder.feed(body), *decoder.close()]
-        if not packets and not _framed(sent):
+        if not packets and sent is not None and not _framed(sent):
             raise PacketError("the body holds no packet; accepted is a run of packets as docs/wire.md specifies them")
         tag = transmission_tag(name)
         row, reassembly = self._reassembly(name)
@@ -347,7 +348,7 @@ def _contents(
 ) -> schemas.Contents:
     """What is known of a surface by now."""
     before = schemas.Contents.model_validate(row.contents).packets if row else None
-    packets = schemas.PacketCounts(
+    packets = PacketCounts(
         received=reassembly.received,
         damaged=(before.damaged if before else 0) + delivery.damaged,
         duplicate=(before.duplicate if before else 0) + delivery.duplicate,

@@ -27,7 +27,7 @@ class ChannelTransport(httpx.AsyncBaseTransport):
     sleep : callable
         Waits for the seconds that the channel delays a transmission (``anyio.sleep``).
 
-    The answer carries the header ``Surfacelink-Faults``. Raises ParameterError for a request whose header
+    Request and answer carry the header ``Surfacelink-Faults``. Raises ParameterError for a request whose header
     ``Surfacelink-Attempt`` is no count.
     """
 
@@ -52,11 +52,13 @@ class ChannelTransport(httpx.AsyncBaseTransport):
         headers = [
             pair for pair in request.headers.raw if pair[0].lower() not in (b"content-length", b"transfer-encoding")
         ]
+        faults = faults_header(delivery)
+        headers.append((FAULTS_HEADER.encode(), faults.encode()))
         harmed = httpx.Request(
             request.method, request.url, headers=headers, content=delivery.body, extensions=request.extensions
         )
         response = await self.transport.handle_async_request(harmed)
-        response.headers[FAULTS_HEADER] = faults_header(delivery)
+        response.headers[FAULTS_HEADER] = faults
         return response
 
     async def aclose(self) -> None:

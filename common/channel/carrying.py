@@ -11,7 +11,8 @@ from common.wire import split
 ATTEMPT_HEADER = "Surfacelink-Attempt"
 """Request header: 0 for the first sending of a transmission, 1, 2, ... for the next (absent: 0)."""
 FAULTS_HEADER = "Surfacelink-Faults"
-"""Response header: how many datagrams each impairment touched, such as ``erasure=2, gaussian=10``, or ``none``."""
+"""Header of a harmed request and of its answer: how many datagrams each impairment touched,
+such as ``erasure=2, gaussian=10``, or ``none``."""
 MAX_ATTEMPT = 2**31 - 1
 
 _TRANSMISSION = re.compile(r"/v1/transmissions/(?P<transmission>[^/]+)/?")

@@ -52,7 +52,7 @@ class SurfaceModel:
     def train(
         cls,
         features: FeatureSet,
-        settings: NetworkSettings = NetworkSettings(),  # noqa: B008 - frozen
+        settings: NetworkSettings = NetworkSettings(),
         *,
         callback: Callback | None = None,
     ) -> Self:

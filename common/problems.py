@@ -1,0 +1,72 @@
+"""Every error as a problem detail (RFC 9457), whatever framework answers with it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from http import HTTPStatus
+from typing import Any
+
+from pydantic import BaseModel, Field
+
+from common.errors import ParameterError, SurfacelinkError
+
+MEDIA_TYPE = "application/problem+json"
+
+
+class InvalidField(BaseModel):
+    """One part of a request that was not acceptable."""
+
+    place: str = Field(description="Where it stands: query, path, header or body.", examples=["query"])
+    name: str = Field(description="Its name.", examples=["shape"])
+    detail: str = Field(description="What is accepted.", examples=["expected rows,columns"])
+
+
+class Problem(BaseModel):
+    """An error as RFC 9457 describes it."""
+
+    type: str = Field(description="The kind of error, a path that explains it.", examples=["/problems/not-found"])
+    title: str = Field(description="The same for every error of the kind.", examples=["Not found"])
+    status: int = Field(description="The HTTP status.", examples=[404])
+    detail: str | None = Field(default=None, description="What was wrong this time, and what is accepted.")
+    errors: list[InvalidField] | None = Field(default=None, description="The fields at fault, where there are some.")
+
+
+def slug(kind: type[SurfacelinkError]) -> str:
+    """The name of an error class in a problem's type: NotReadyError is not-ready."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "-", kind.__name__.removesuffix("Error")).lower()
+
+
+def kinds(root: type[SurfacelinkError] = SurfacelinkError) -> dict[str, type[SurfacelinkError]]:
+    """All kinds of error there are, by their name in a problem's type."""
+    found = {slug(root): root}
+    for child in root.__subclasses__():
+        found |= kinds(child)
+    return found
+
+
+def problem_of(error: SurfacelinkError) -> Problem:
+    """The problem an error of ours means."""
+    return Problem(type=f"/problems/{slug(type(error))}", title=error.title, status=error.status, detail=error.detail)
+
+
+def problem_of_status(status: int, detail: str | None = None) -> Problem:
+    """The problem that says no more than its HTTP status (RFC 9457, section 4.2.1)."""
+    return Problem(type="about:blank", title=HTTPStatus(status).phrase, status=status, detail=detail)
+
+
+def problem_of_fields(errors: Sequence[Mapping[str, Any]]) -> Problem:
+    """The problem of a request that pydantic refused; the values it met are not repeated.
+
+    Parameters
+    ----------
+    errors : sequence of mappings
+        As pydantic's ``ValidationError.errors()`` gives them, the place (query, body, ...) first in ``loc``.
+    """
+    fields = []
+    for error in errors:
+        place, *name = (str(part) for part in error["loc"] or ("body",))
+        message = str(error["msg"]).removeprefix("Value error, ")
+        fields.append(InvalidField(place=place, name=".".join(name) or place, detail=message))
+    detail = "; ".join(f"{field.name}: {field.detail}" for field in fields)
+    return problem_of(ParameterError(detail)).model_copy(update={"errors": fields})

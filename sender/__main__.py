@@ -1,0 +1,154 @@
+"""``sender serve``, ``sender send``, ``sender surfaces``."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import anyio
+import httpx
+import typer
+import uvicorn
+from pydantic import ValidationError
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from common.channel import Channel
+from common.errors import ParameterError, SurfacelinkError
+from common.surface import Unit
+from common.wire import WireOptions
+from sender.app import create_app
+from sender.client import ReceiverClient, Sent
+from sender.features import Repeated
+from sender.readers import read_points
+from sender.settings import Settings
+from sender.surfaces import SURFACES
+from sender.transmission import Order, Prepared, deliver, prepare
+from sender.transport import ChannelTransport
+
+app = typer.Typer(
+    name="sender",
+    help="Keep the feature points of a surface and send them to a receiver.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+console = Console()
+DEFAULTS = Settings.model_construct()
+
+
+@app.command()
+def serve(
+    host: Annotated[str | None, typer.Option(help="Address to listen on. (SENDER_HOST, 127.0.0.1)")] = None,
+    port: Annotated[int | None, typer.Option(help="Port to listen on; 0 takes a free one. (SENDER_PORT, 8000)")] = None,
+    receiver: Annotated[
+        str | None, typer.Option(help="URL of the receiver. (SENDER_RECEIVER, http://127.0.0.1:8001)")
+    ] = None,
+) -> None:
+    """Run the service."""
+    given: dict[str, Any] = {"host": host, "port": port, "receiver": receiver}
+    settings = Settings(**{name: value for name, value in given.items() if value is not None})
+    ReceiverClient.connect(settings.receiver)
+    uvicorn.run(create_app(settings), host=settings.host, port=settings.port, log_level="info")
+
+
+@app.command()
+def surfaces() -> None:
+    """List the surfaces that can be sent by name."""
+    table = Table("name", "surface", "points", "segment gap", box=None, pad_edge=False)
+    for surface in SURFACES.values():
+        table.add_row(surface.name, surface.title, str(surface.points), f"{surface.gap:g} {surface.units.xy}".strip())
+    console.print(table)
+
+
+@app.command()
+def send(
+    what: Annotated[str, typer.Argument(metavar="NAME|FILE", help="A surface by name, or a file of points.")],
+    receiver: Annotated[str, typer.Option(help="URL of the receiver.")] = DEFAULTS.receiver,
+    name: Annotated[str | None, typer.Option("--id", help="Id at the receiver. (the name)")] = None,
+    gap: Annotated[float | None, typer.Option(help="Segment gap, in the units of x and y. (as usual for it)")] = None,
+    points: Annotated[int | None, typer.Option(help="Points of the cloud. (as usual for it)")] = None,
+    kind: Annotated[
+        Literal["extrema", "cloud"], typer.Option(help="What to keep: cloud sends every point.")
+    ] = "extrema",
+    seed: Annotated[int, typer.Option(help="Seed the cloud is drawn from.")] = 0,
+    columns: Annotated[str | None, typer.Option(help="Columns of a text file: names or numbers of x,y,z.")] = None,
+    repeated: Annotated[Repeated, typer.Option(help="For positions with several heights.")] = "error",
+    xy_unit: Annotated[Unit, typer.Option(help="Unit of a file's xy.")] = "",
+    z_unit: Annotated[Unit, typer.Option(help="Unit of a file's z.")] = "",
+    rounds: Annotated[int, typer.Option(help="More than 1 sends again what the receipt calls missing.")] = 1,
+    datagram: Annotated[int, typer.Option(help="Longest packet, in bytes.")] = WireOptions().datagram,
+    precision: Annotated[str, typer.Option(help="float64, float32, or bits an axis.")] = str(WireOptions().precision),
+    coding: Annotated[Literal["plain", "compact"], typer.Option(help="How points are packed.")] = WireOptions().coding,
+    channel: Annotated[
+        str, typer.Option(help="Harm the packets on their way out, e.g. gaussian:std=0.1,axes=xyz;erasure:p=0.05")
+    ] = "",
+    channel_seed: Annotated[int, typer.Option(help="Seed of the channel.")] = 0,
+    wait: Annotated[bool, typer.Option("--wait", help="Wait until the receiver has trained its network.")] = False,
+) -> None:
+    """Send a surface, or a file of points, to a receiver."""
+    wire: dict[str, Any] = {"datagram": datagram, "coding": coding}
+    wire["precision"] = int(precision) if precision.isdigit() else precision
+    path = Path(what)
+    is_file = what not in SURFACES and (path.exists() or len(path.parts) > 1 or bool(path.suffix))
+    order = _order(
+        surface=None if is_file else what,
+        id=name,
+        points=points,
+        seed=seed,
+        gap=gap,
+        kind=kind,
+        repeated=repeated,
+        columns=None if columns is None else [label.strip() for label in columns.split(",")],
+        xy_unit=xy_unit,
+        z_unit=z_unit,
+        rounds=rounds,
+        wire=wire,
+    )
+    upload = (path.name, partial(read_points, path, order.columns)) if is_file else None
+    prepared = prepare(order, upload)
+    console.print(
+        f"{prepared.id}: {prepared.cloud} points -> {len(prepared.features)} feature points -> "
+        f"{len(prepared.packets)} packets, {sum(map(len, prepared.packets))} bytes"
+    )
+    sent = anyio.run(_send, prepared, order, receiver, Channel.parse(channel, seed=channel_seed), wait)
+    counts = sent.receipt.packets
+    total = "?" if counts.total is None else counts.total
+    console.print(
+        f"receiver: {counts.received} of {total} packets, {counts.damaged} damaged, {counts.duplicate} duplicate, "
+        f"{len(counts.missing)} missing, {sent.retransmitted} sent again; holds {sent.receipt.points} points"
+    )
+    console.print(f"curl {receiver.rstrip('/')}/v1/surfaces/{prepared.id}", highlight=False, soft_wrap=True)
+
+
+async def _send(prepared: Prepared, order: Order, receiver: str, channel: Channel, wait: bool) -> Sent:
+    transport = ChannelTransport(httpx.AsyncHTTPTransport(), channel) if channel else None
+    async with ReceiverClient.connect(receiver, transport) as client:
+        sent = await deliver(prepared, order, client)
+        if wait:
+            await client.wait_ready(prepared.id)
+        return sent
+
+
+def _order(**fields: Any) -> Order:
+    try:
+        return Order(**fields)
+    except ValidationError as error:
+        said = "; ".join(f"{'.'.join(map(str, found['loc']))}: {found['msg']}" for found in error.errors())
+        raise ParameterError(said) from error
+
+
+def main() -> None:
+    """The command line; an error of ours is one line on stderr and exit status 1."""
+    try:
+        app()
+    except SurfacelinkError as error:
+        Console(stderr=True).print(Text.assemble(("error: ", "bold red"), str(error)), soft_wrap=True)
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

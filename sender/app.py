@@ -1,0 +1,330 @@
+"""The sender as a service: name a surface or upload a file, and it goes to the receiver."""
+
+from __future__ import annotations
+
+import logging
+import uuid
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from functools import partial
+from http import HTTPStatus
+from typing import Annotated, Any, Literal, TypeAlias
+
+import anyio
+import anyio.abc
+from fastapi import APIRouter, Depends, FastAPI, Request, Response
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse, RedirectResponse
+from pydantic import BaseModel, Field, ValidationError
+from starlette.datastructures import UploadFile
+from starlette.exceptions import HTTPException
+
+from common.errors import LimitError, NotFoundError, ParameterError, SurfacelinkError
+from common.messages import Receipt
+from common.problems import (
+    MEDIA_TYPE,
+    Problem,
+    problem_of,
+    problem_of_fields,
+    problem_of_status,
+)
+from sender.client import ReceiverClient
+from sender.readers import parse_points
+from sender.settings import Settings
+from sender.surfaces import SURFACES, find_surface
+from sender.transmission import Order, Prepared, deliver, prepare
+
+logger = logging.getLogger(__name__)
+
+MULTIPART_OVERHEAD = 64 << 10
+"""What a form may hold beside its file: boundaries, headers, the order."""
+
+
+class SurfaceOut(BaseModel):
+    """A surface that can be sent by name."""
+
+    name: str
+    title: str
+    points: int = Field(description="Points of the cloud, unless another number is asked for.")
+    gap: float = Field(description="Segment gap, in the units of x and y.")
+    region: dict[str, float]
+    units: dict[str, str]
+
+
+class TransmissionOut(BaseModel):
+    """A transmission and what has become of it."""
+
+    id: str
+    state: Literal["sending", "sent", "failed"]
+    surface: str = Field(description="Id of the surface at the receiver.")
+    cloud_points: int
+    feature_points: int
+    packets: int = Field(description="Packets put on the air, retransmissions included.")
+    bytes: int = Field(description="Bytes put on the air, retransmissions included.")
+    retransmissions: int = Field(0, description="Packets sent again.")
+    receipt: Receipt | None = Field(None, description="The receiver's last receipt.")
+    links: dict[str, str] = Field(default_factory=dict)
+    error: Problem | None = None
+
+
+class Desk:
+    """The transmissions of one service; they live as long as it runs."""
+
+    def __init__(self, settings: Settings, client: ReceiverClient, tasks: anyio.abc.TaskGroup) -> None:
+        self._settings = settings
+        self._client = client
+        self._tasks = tasks
+        self._transmissions: dict[str, TransmissionOut] = {}
+
+    async def reaches_receiver(self) -> bool:
+        """Whether the receiver answers."""
+        return await self._client.alive()
+
+    def get(self, transmission: str) -> TransmissionOut:
+        """The transmission of that id; raises NotFoundError."""
+        try:
+            return self._transmissions[transmission]
+        except KeyError:
+            raise NotFoundError("no such transmission; this service forgets them when it stops") from None
+
+    def accept(self, prepared: Prepared, order: Order) -> TransmissionOut:
+        """Start to send what was prepared."""
+        record = TransmissionOut(
+            id=uuid.uuid4().hex,
+            state="sending",
+            surface=prepared.id,
+            cloud_points=prepared.cloud,
+            feature_points=len(prepared.features),
+            packets=len(prepared.packets),
+            bytes=sum(map(len, prepared.packets)),
+            links={"surface": f"{self._settings.receiver.rstrip('/')}/v1/surfaces/{prepared.id}"},
+        )
+        self._forget()
+        self._transmissions[record.id] = record
+        self._tasks.start_soon(self._deliver, record.id, prepared, order)
+        return record
+
+    def _forget(self) -> None:
+        done = [key for key, record in self._transmissions.items() if record.state in ("sent", "failed")]
+        for key in done[: max(0, len(self._transmissions) - self._settings.kept + 1)]:
+            del self._transmissions[key]
+
+    async def _deliver(self, key: str, prepared: Prepared, order: Order) -> None:
+        try:
+            sent = await deliver(prepared, order, self._client)
+        except SurfacelinkError as error:
+            logger.warning("%s: %s", prepared.id, error)
+            self._update(key, state="failed", error=problem_of(error))
+        except Exception:
+            logger.exception("%s: sending failed", prepared.id)
+            self._update(key, state="failed", error=problem_of_status(500, "the fault is the sender's"))
+        else:
+            self._update(
+                key,
+                state="sent",
+                packets=sent.packets,
+                bytes=sent.bytes,
+                retransmissions=sent.retransmitted,
+                receipt=sent.receipt,
+            )
+
+    def _update(self, key: str, **changes: Any) -> None:
+        self._transmissions[key] = self._transmissions[key].model_copy(update=changes)
+
+
+def _desk(request: Request) -> Desk:
+    desk: Desk = request.app.state.desk
+    return desk
+
+
+def _settings(request: Request) -> Settings:
+    settings: Settings = request.app.state.settings
+    return settings
+
+
+router = APIRouter(prefix="/v1")
+PROBLEMS: dict[int | str, dict[str, Any]] = {
+    status: {"model": Problem, "content": {MEDIA_TYPE: {}}, "description": text}
+    for status, text in ((404, "No such name"), (413, "Too large"), (415, "Not JSON, not a form"), (422, "Unusable"))
+}
+
+
+@router.get("/surfaces", summary="What can be sent by name")
+def surfaces() -> list[SurfaceOut]:
+    return [
+        SurfaceOut(
+            name=surface.name,
+            title=surface.title,
+            points=surface.points,
+            gap=surface.gap,
+            region=dict(zip(("x_min", "x_max", "y_min", "y_max"), surface.region.bounds, strict=True)),
+            units={"xy": surface.units.xy, "z": surface.units.z},
+        )
+        for surface in SURFACES.values()
+    ]
+
+
+@router.post(
+    "/transmissions",
+    status_code=HTTPStatus.ACCEPTED,
+    summary="Send a surface, or an uploaded file, to the receiver",
+    responses={status: PROBLEMS[status] for status in (404, 413, 415, 422)},
+    openapi_extra={
+        "requestBody": {
+            "required": True,
+            "content": {
+                "application/json": {
+                    "schema": {"$ref": "#/components/schemas/Order"},
+                    "example": {"surface": "surface-1", "rounds": 3},
+                },
+                "multipart/form-data": {
+                    "schema": {
+                        "type": "object",
+                        "required": ["file"],
+                        "properties": {
+                            "file": {"type": "string", "format": "binary", "description": "csv, txt, xyz or npy"},
+                            "order": {"type": "string", "description": "The same JSON as the other kind of body."},
+                        },
+                    }
+                },
+            },
+        }
+    },
+)
+async def send(
+    request: Request,
+    response: Response,
+    desk: Annotated[Desk, Depends(_desk)],
+    settings: Annotated[Settings, Depends(_settings)],
+) -> TransmissionOut:
+    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    upload = None
+    if kind == "application/json":
+        order = _parse(await _body(request, MULTIPART_OVERHEAD))
+    elif kind == "multipart/form-data":
+        declared = request.headers.get("content-length", "")
+        if not declared.isdigit() or int(declared) > settings.max_upload_bytes + MULTIPART_OVERHEAD:
+            raise LimitError(f"an upload must declare its length, at most {settings.max_upload_bytes} bytes")
+        async with request.form(max_files=1, max_fields=1) as form:
+            file, text = form.get("file"), form.get("order")
+            if not isinstance(file, UploadFile):
+                raise ParameterError("the form has no file in its field 'file'")
+            order = _parse(text.encode()) if isinstance(text, str) else Order()
+            name = file.filename or "upload"
+            upload = (name, partial(parse_points, await file.read(), name, order.columns))
+    else:
+        raise HTTPException(HTTPStatus.UNSUPPORTED_MEDIA_TYPE)
+    if order.surface is not None and upload is None:
+        count = order.points if order.points is not None else find_surface(order.surface).points
+        if count > settings.max_points:
+            raise LimitError(f"{count} points were asked for; at most {settings.max_points} are accepted")
+    record = desk.accept(await anyio.to_thread.run_sync(prepare, order, upload), order)
+    response.headers["Location"] = f"/v1/transmissions/{record.id}"
+    return record
+
+
+@router.get("/transmissions/{transmission}", summary="What has become of it", responses={404: PROBLEMS[404]})
+def transmission(transmission: str, desk: Annotated[Desk, Depends(_desk)]) -> TransmissionOut:
+    return desk.get(transmission)
+
+
+async def _body(request: Request, limit: int) -> bytes:
+    body = bytearray()
+    async for chunk in request.stream():
+        body += chunk
+        if len(body) > limit:
+            raise LimitError(f"the body is longer than {limit} bytes")
+    return bytes(body)
+
+
+def _parse(text: bytes) -> Order:
+    try:
+        return Order.model_validate_json(text)
+    except ValidationError as error:
+        raise RequestValidationError([{**found, "loc": ("body", *found["loc"])} for found in error.errors()]) from error
+
+
+def _answer(problem: Problem, headers: dict[str, str] | None = None) -> JSONResponse:
+    return JSONResponse(
+        problem.model_dump(exclude_none=True), status_code=problem.status, media_type=MEDIA_TYPE, headers=headers
+    )
+
+
+async def _on_error(_request: Request, error: Exception) -> Response:
+    match error:
+        case RequestValidationError():
+            return _answer(problem_of_fields(error.errors()))
+        case SurfacelinkError():
+            return _answer(problem_of(error))
+        case HTTPException():
+            details = {
+                404: "there is nothing at this path; /docs lists what there is",
+                405: "this method is not possible here; see the header Allow",
+                415: "send application/json, or multipart/form-data with a file",
+            }
+            return _answer(
+                problem_of_status(error.status_code, details.get(error.status_code)), dict(error.headers or {})
+            )
+        case _:
+            return _answer(problem_of_status(500, "the fault is the sender's; its log says more"))
+
+
+class SenderAPI(FastAPI):
+    """Describes the order, which FastAPI does not see: the body is of one of two kinds."""
+
+    def openapi(self) -> dict[str, Any]:
+        """The description with the schema of the order in it."""
+        described = super().openapi()
+        order = Order.model_json_schema(ref_template="#/components/schemas/{model}")
+        described["components"]["schemas"] |= order.pop("$defs", {}) | {"Order": order}
+        return described
+
+
+Connect: TypeAlias = Callable[[str], ReceiverClient]
+
+
+def create_app(settings: Settings | None = None, connect: Connect = ReceiverClient.connect) -> FastAPI:
+    """The service.
+
+    Parameters
+    ----------
+    settings : Settings, optional
+        By default from the environment.
+    connect : callable
+        Makes the client for the receiver's URL; a test gives one that needs no socket.
+    """
+    settings = settings or Settings()
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        async with connect(settings.receiver) as client, anyio.create_task_group() as tasks:
+            app.state.desk = Desk(settings, client, tasks)
+            yield
+            tasks.cancel_scope.cancel()
+
+    app = SenderAPI(
+        title="surfacelink sender",
+        description="Keeps the feature points of a surface and sends them to the receiver.",
+        version="1",
+        lifespan=lifespan,
+    )
+    app.state.settings = settings
+    for kind in (SurfacelinkError, RequestValidationError, HTTPException, Exception):
+        app.add_exception_handler(kind, _on_error)
+    app.include_router(router)
+
+    @app.get("/health/live", tags=["health"], summary="The process runs")
+    def live() -> dict[str, str]:
+        return {"status": "live"}
+
+    @app.get("/health/ready", tags=["health"], summary="The receiver answers", response_model=None)
+    async def ready(desk: Annotated[Desk, Depends(_desk)]) -> Response:
+        reached = await desk.reaches_receiver()
+        status = HTTPStatus.OK if reached else HTTPStatus.SERVICE_UNAVAILABLE
+        return JSONResponse({"status": "ready" if reached else "the receiver does not answer"}, status)
+
+    @app.get("/", include_in_schema=False)
+    def root() -> RedirectResponse:
+        return RedirectResponse("/docs")
+
+    return app

@@ -1,0 +1,114 @@
+"""One transmission from end to end of the sender: cloud, features, packets, receipt."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from common.errors import ParameterError
+from common.network.model import NetworkSettings
+from common.surface import FeatureSet, FloatArray, Region, Unit, Units
+from common.wire import WireOptions, encode
+from sender.client import ReceiverClient, Sent
+from sender.features import Repeated, extract_features
+from sender.surfaces import find_surface
+
+PIECES_OF_A_FILE = 1024
+"""Pieces that a file's region is cut into unless a gap is given: about 2,000 feature points."""
+
+TransmissionId: TypeAlias = Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,64}$", examples=["surface-1"])]
+
+
+class Order(BaseModel):
+    """What to send, and how: the JSON body of ``POST /v1/transmissions``."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    surface: str | None = Field(None, description="A surface by name (see GET /v1/surfaces); none for an upload.")
+    id: TransmissionId | None = Field(None, description="Id at the receiver; by default the name of the surface.")
+    points: int | None = Field(None, ge=1, description="Points of the cloud; by default as many as is usual for it.")
+    seed: int = Field(0, ge=0, description="Seed the cloud is drawn from.")
+    gap: float | None = Field(None, gt=0, description="Segment gap, in the units of x and y.")
+    kind: Literal["extrema", "cloud"] = Field("extrema", description="Feature points to keep; cloud sends every point.")
+    repeated: Repeated = Field("error", description="What to do with positions that carry more than one height.")
+    columns: tuple[str, str, str] | None = Field(None, description="Columns of an uploaded text file: x, y, z.")
+    xy_unit: Unit = Field("", description="Unit of x and y of an upload.")
+    z_unit: Unit = Field("", description="Unit of z of an upload.")
+    rounds: int = Field(1, ge=1, le=100, description="1 sends once; more sends again what the receipt calls missing.")
+    wire: WireOptions = Field(WireOptions(), description="Packets: size, precision, coding, protection.")
+    network: NetworkSettings | None = Field(None, description="Network the receiver is to train; none for its default.")
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """An order carried out up to the packets."""
+
+    id: str
+    cloud: int
+    features: FeatureSet
+    packets: list[bytes]
+
+    @property
+    def cloud_bytes(self) -> int:
+        """Bytes of the dense cloud, as plain float64."""
+        return self.cloud * 24
+
+
+def prepare(order: Order, upload: tuple[str, Callable[[], FloatArray]] | None = None) -> Prepared:
+    """Draw or read the cloud, keep its feature points, encode them.
+
+    Parameters
+    ----------
+    order : Order
+    upload : (name, read), optional
+        Name of a file and a function that gives its points; the alternative to ``order.surface``.
+
+    Raises
+    ------
+    InputError
+        If there is no such surface, the cloud is no surface, or a setting does not fit it.
+    """
+    region: Region | None = None
+    gap: float | None
+    if order.surface is not None and upload is None:
+        surface = find_surface(order.surface)
+        cloud = surface.sample(np.random.default_rng(order.seed), order.points)
+        name, region, units, gap = surface.name, surface.region, surface.units, order.gap or surface.gap
+    elif upload is not None and order.surface is None:
+        name, read = upload
+        cloud, units = read(), Units(order.xy_unit, order.z_unit)
+        if order.points is not None:
+            if order.points > len(cloud):
+                raise ParameterError(f"{name} holds {len(cloud)} points; {order.points} were asked for")
+            cloud = np.random.default_rng(order.seed).permutation(cloud)[: order.points]
+        gap = order.gap or _usual_gap(cloud)
+    else:
+        raise ParameterError("name a surface or give a file: one of the two")
+    features = extract_features(cloud, gap=gap, kind=order.kind, region=region, repeated=order.repeated, units=units)
+    transmission = order.id or transmission_id(name)
+    return Prepared(transmission, len(cloud), features, encode(features, transmission=transmission, options=order.wire))
+
+
+def _usual_gap(cloud: FloatArray) -> float | None:
+    extent = np.ptp(cloud[:, :2], axis=0) if len(cloud) else np.zeros(2)
+    # Where the extent is zero, the check of the cloud says what is wrong with it.
+    return float(np.sqrt(extent.prod() / PIECES_OF_A_FILE)) or None
+
+
+def transmission_id(name: str) -> str:
+    """An id made of a surface's or a file's name: letters, digits, ".", "_" and "-" stay."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", Path(name).stem if "." in name else name)[:64].strip("-.") or "surface"
+
+
+async def deliver(prepared: Prepared, order: Order, client: ReceiverClient) -> Sent:
+    """Post the packets to the receiver, again where its receipt calls some missing (see `ReceiverClient.send`)."""
+    settings: dict[str, Any] | None = None
+    if order.network is not None:
+        settings = order.network.model_dump(exclude_defaults=True)
+    return await client.send(prepared.packets, transmission=prepared.id, rounds=order.rounds, network=settings)

@@ -1,0 +1,130 @@
+"""``simulate demo``, ``simulate channel``, ..."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+from typing import Annotated
+
+import anyio
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from rich.text import Text
+
+from common.errors import ParameterError, SurfacelinkError
+from sender.surfaces import find_surface
+from simulator.demo import DEMO_SURFACES, Trial, run_demo, steps, write_pictures
+from simulator.services import Services, running
+
+app = typer.Typer(
+    name="simulate",
+    help="Experiments over the link: sender, noisy channel, receiver.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+console = Console()
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the pictures and the services' logs.")] = Path(
+        "surfacelink-demo"
+    ),
+    surface: Annotated[list[str] | None, typer.Option(help="Send only this one; may be repeated.")] = None,
+    serve: Annotated[bool, typer.Option("--serve", help="Leave both services running and print curl lines.")] = False,
+) -> None:
+    """Send four surfaces over real HTTP, clean and noisy; print a table, draw a picture of each."""
+    names = tuple(surface or DEMO_SURFACES)
+    for name in names:
+        find_surface(name)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ParameterError(f"cannot write to {out}: {error.strerror}") from error
+    with tempfile.TemporaryDirectory(prefix="data-", dir=out) as data, running(Path(data)) as services:
+        columns = (
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+        )
+        with Progress(*columns, console=console, transient=True) as bar:
+            task = bar.add_task("starting", total=steps(names) + 1)
+
+            def progress(stage: str) -> None:
+                bar.update(task, description=stage)
+                bar.advance(task)
+
+            trials = anyio.run(lambda: run_demo(services, names, progress=progress))
+            bar.update(task, description="drawing")
+            pictures = write_pictures(trials, out)
+            bar.advance(task)
+        console.print(demo_table(trials))
+        console.print("NRMSE: root mean square error over the range of z; noisy: the paper's noise on x, y and z.")
+        for picture in pictures:
+            console.print(f"picture: {picture}", highlight=False, soft_wrap=True)
+        if serve:
+            _leave_running(services, trials)
+
+
+def demo_table(trials: list[Trial]) -> Table:
+    """The figures of the demo, the least error of each channel in bold."""
+    table = Table(title="Features through the channel, and the surface grown back", title_justify="left")
+    rows = [trial.row() for trial in trials]
+    for name in rows[0]:
+        table.add_column(name.replace(" ", "\n"), justify="left" if name == "surface" else "right", no_wrap=True)
+    for row in rows:
+        least = {
+            min((name for name in row if name.startswith(channel)), key=lambda name: row[name])
+            for channel in ("clean ", "noisy ")
+        }
+        table.add_row(*(Text(_cell(name, value), "bold green" if name in least else "") for name, value in row.items()))
+    return table
+
+
+def _cell(name: str, value: str | float) -> str:
+    if isinstance(value, int):
+        return f"{value:,}"
+    if isinstance(value, float):
+        return f"{value:.1f}" if name == "seconds" else f"{value:.4f}"
+    return value
+
+
+def _leave_running(services: Services, trials: list[Trial]) -> None:
+    receiver, sender, surface = services.receiver, services.sender, trials[0].noisy.id
+    as_json = "-H 'Content-Type: application/json'"
+    lines = (
+        f"receiver {receiver}  (open it in a browser)",
+        f"sender   {sender}",
+        f"curl {receiver}/v1/surfaces",
+        f"curl '{receiver}/v1/surfaces/{surface}/grid?shape=5,5&f=csv'",
+        f"curl -o {surface}.png '{receiver}/v1/surfaces/{surface}/grid?f=png'",
+        f'curl -X PUT {receiver}/v1/channel {as_json} -d \'{{"spec": "erasure:p=0.3"}}\'',
+        f'curl {sender}/v1/transmissions {as_json} -d \'{{"surface": "peaks", "rounds": 3}}\'',
+        f"curl {receiver}/v1/surfaces/peaks",
+        "Ctrl-C stops both.",
+    )
+    for line in lines:
+        console.print(line, highlight=False, soft_wrap=True)
+    try:
+        anyio.run(anyio.sleep_forever)
+    except KeyboardInterrupt:
+        console.print("stopped")
+
+
+def main() -> None:
+    """The command line; an error of ours is one line on stderr and exit status 1."""
+    try:
+        app()
+    except SurfacelinkError as error:
+        Console(stderr=True).print(Text.assemble(("error: ", "bold red"), str(error)), soft_wrap=True)
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

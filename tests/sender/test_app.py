@@ -1,0 +1,189 @@
+"""The sender service over ASGI: orders, uploads, and a problem for whatever is wrong with them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from typing import Any
+
+import anyio
+import httpx
+import numpy as np
+import pytest
+
+from common.wire import PacketDecoder
+from sender.app import create_app
+from sender.client import ReceiverClient, RetryPolicy
+from sender.settings import Settings
+
+Handler = Callable[[httpx.Request], httpx.Response]
+
+
+def receive(request: httpx.Request) -> httpx.Response:
+    """A receiver that gets everything."""
+    if request.url.path == "/health/live":
+        return httpx.Response(200)
+    packets = PacketDecoder().feed(request.content)
+    counts = {"received": len(packets), "damaged": 0, "duplicate": 0, "total": len(packets), "missing": []}
+    points = sum(len(packet.points) for packet in packets)
+    name = request.url.path.rpartition("/")[2]
+    return httpx.Response(
+        202, json={"id": name, "packets": counts, "points": points, "complete": True, "state": "training"}
+    )
+
+
+def refuse(_request: httpx.Request) -> httpx.Response:
+    raise httpx.ConnectError("refused")
+
+
+@asynccontextmanager
+async def service(handler: Handler = receive, **settings: Any) -> AsyncIterator[httpx.AsyncClient]:
+    async def no_sleep(_seconds: float) -> None:
+        pass
+
+    def connect(url: str) -> ReceiverClient:
+        http = httpx.AsyncClient(base_url=url, transport=httpx.MockTransport(handler))
+        return ReceiverClient(http, RetryPolicy(tries=2), no_sleep)
+
+    app = create_app(Settings(**settings), connect)
+    async with (
+        app.router.lifespan_context(app),
+        httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://sender") as client,
+    ):
+        yield client
+
+
+async def settled(client: httpx.AsyncClient, location: str) -> dict[str, Any]:
+    with anyio.fail_after(30):
+        while True:
+            record: dict[str, Any] = (await client.get(location)).json()
+            if record["state"] != "sending":
+                return record
+            await anyio.sleep(0.01)
+
+
+def run(use: Callable[[httpx.AsyncClient], Any], handler: Handler = receive, **settings: Any) -> Any:
+    async def go() -> Any:
+        async with service(handler, **settings) as client:
+            return await use(client)
+
+    return anyio.run(go)
+
+
+def test_it_lists_what_it_can_send() -> None:
+    async def use(client: httpx.AsyncClient) -> None:
+        names = {surface["name"]: surface for surface in (await client.get("/v1/surfaces")).json()}
+        assert names["surface-1"]["points"] == 200
+        assert names["elevation"]["units"] == {"xy": "m", "z": "m"}
+
+    run(use)
+
+
+def test_a_named_surface_is_sent_and_its_receipt_kept() -> None:
+    async def use(client: httpx.AsyncClient) -> None:
+        answer = await client.post("/v1/transmissions", json={"surface": "surface-1", "id": "first"})
+        assert answer.status_code == 202
+        record = await settled(client, answer.headers["Location"])
+        assert record["state"] == "sent"
+        assert (record["cloud_points"], record["feature_points"], record["receipt"]["points"]) == (200, 50, 50)
+        assert record["surface"] == record["receipt"]["id"] == "first"
+        assert record["bytes"] > 0
+
+    run(use)
+
+
+def test_a_file_is_sent() -> None:
+    cloud = np.random.default_rng(0).uniform(size=(500, 3))
+    text = "\n".join(",".join(map(repr, row)) for row in cloud.tolist())
+
+    async def use(client: httpx.AsyncClient) -> None:
+        answer = await client.post(
+            "/v1/transmissions",
+            files={"file": ("my field.csv", text)},
+            data={"order": json.dumps({"gap": 0.25, "xy_unit": "km"})},
+        )
+        record = await settled(client, answer.headers["Location"])
+        assert (record["surface"], record["state"], record["cloud_points"]) == ("my-field", "sent", 500)
+        assert record["feature_points"] == 32
+
+    run(use)
+
+
+def test_a_receiver_that_is_down_is_a_failed_transmission_not_a_lost_one() -> None:
+    async def use(client: httpx.AsyncClient) -> None:
+        answer = await client.post("/v1/transmissions", json={"surface": "surface-1"})
+        record = await settled(client, answer.headers["Location"])
+        assert record["state"] == "failed"
+        assert "does not answer" in record["error"]["detail"]
+        assert (await client.get("/health/ready")).status_code == 503
+        assert (await client.get("/health/live")).status_code == 200
+
+    run(use, refuse)
+
+
+@pytest.mark.parametrize(
+    ("request_", "status", "detail"),
+    [
+        ({"json": {"surface": "surface1"}}, 404, "did you mean surface-1"),
+        ({"json": {}}, 422, "name a surface or give a file"),
+        ({"json": {"surface": "surface-1", "gap": -1}}, 422, "gap: Input should be greater than 0"),
+        ({"json": {"surface": "surface-1", "gap": 5}}, 422, "larger than the region"),
+        ({"json": {"surface": "surface-1", "gap": 1e-6}}, 422, "pieces"),
+        ({"json": {"surface": "surface-1", "colour": "red"}}, 422, "colour: Extra inputs"),
+        ({"json": {"surface": "surface-1", "id": "a/b"}}, 422, "id: String should match"),
+        ({"json": {"surface": "surface-1", "points": 2}}, 422, "at least 3"),
+        ({"json": {"surface": "surface-1", "points": 10**9}}, 413, "at most"),
+        ({"json": {"surface": "surface-1", "wire": {"datagram": 1}}}, 422, "wire.datagram"),
+        ({"content": b"{", "headers": {"Content-Type": "application/json"}}, 422, "Invalid JSON"),
+        ({"content": b" " * 70_000, "headers": {"Content-Type": "application/json"}}, 413, "longer than"),
+        ({"content": b"x", "headers": {"Content-Type": "text/plain"}}, 415, "application/json"),
+        ({"content": b"x"}, 415, "application/json"),
+        ({"files": {"other": ("a.csv", "1,2,3")}}, 422, "no file"),
+        ({"files": {"file": ("a.csv", "1,2,3")}}, 422, "at least 3"),
+        ({"files": {"file": ("a.csv", "1,2,nan\n4,5,6\n7,8,8")}}, 422, "NaN"),
+        ({"files": {"file": ("a.csv", "0,0,1\n0,0,2\n1,1,1\n2,1,3")}}, 422, "more than one height"),
+        ({"files": {"file": ("a.tiff", "II*")}}, 422, "accepted endings"),
+        ({"files": {"file": ("a.csv", "1,2,3\n" * 50_000)}}, 413, "at most 100000 bytes"),
+    ],
+)
+def test_a_bad_order_is_a_problem_that_says_what_is_accepted(
+    request_: dict[str, Any], status: int, detail: str
+) -> None:
+    async def use(client: httpx.AsyncClient) -> None:
+        answer = await client.post("/v1/transmissions", **request_)
+        assert answer.status_code == status
+        assert answer.headers["Content-Type"] == "application/problem+json"
+        assert detail in answer.json()["detail"]
+        assert answer.json()["status"] == status
+
+    run(use, max_upload_bytes=100_000)
+
+
+@pytest.mark.parametrize(("method", "path", "status"), [("GET", "/nothing", 404), ("PUT", "/v1/surfaces", 405)])
+def test_wrong_paths_and_methods_are_problems_too(method: str, path: str, status: int) -> None:
+    async def use(client: httpx.AsyncClient) -> None:
+        answer = await client.request(method, path)
+        assert answer.status_code == status
+        assert answer.headers["Content-Type"] == "application/problem+json"
+
+    run(use)
+
+
+def test_finished_transmissions_are_forgotten_only_beyond_the_limit() -> None:
+    async def use(client: httpx.AsyncClient) -> None:
+        locations = []
+        for _ in range(4):
+            answer = await client.post("/v1/transmissions", json={"surface": "surface-2"})
+            locations.append(answer.headers["Location"])
+            await settled(client, locations[-1])
+        assert [(await client.get(location)).status_code for location in locations] == [404, 404, 200, 200]
+
+    run(use, kept=2)
+
+
+def test_the_api_describes_both_kinds_of_body() -> None:
+    schema = create_app(Settings()).openapi()
+    body = schema["paths"]["/v1/transmissions"]["post"]["requestBody"]["content"]
+    assert set(body) == {"application/json", "multipart/form-data"}
+    assert "Order" in schema["components"]["schemas"]

@@ -1,0 +1,179 @@
+"""The client against a receiver that fails in every way it can: retries, problems, selective retransmission."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import anyio
+import httpx
+import numpy as np
+import pytest
+
+from common.channel.carrying import ATTEMPT_HEADER
+from common.errors import LinkError, NotFoundError, ParameterError, RefusedError, TrainingError
+from sender import client as module
+from sender.client import ReceiverClient, RetryPolicy
+
+URL = "http://receiver.test"
+PACKETS = [bytes([number]) * 10 for number in range(6)]
+
+
+def accepted(missing: list[int], total: int | None = 6) -> httpx.Response:
+    counts = {"received": 0, "damaged": 0, "duplicate": 0, "total": total, "missing": missing}
+    complete = total is not None and not missing
+    return httpx.Response(
+        202, json={"id": "a", "packets": counts, "points": 3, "complete": complete, "state": "training"}
+    )
+
+
+class Receiver:
+    """Answers from a list, and remembers what it was asked and how long the client slept."""
+
+    def __init__(self, *answers: httpx.Response | Exception) -> None:
+        self.answers = list(answers)
+        self.requests: list[httpx.Request] = []
+        self.slept: list[float] = []
+
+    def handle(self, request: httpx.Request) -> httpx.Response:
+        self.requests.append(request)
+        answer = self.answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    async def sleep(self, seconds: float) -> None:
+        self.slept.append(seconds)
+
+    def run(self, use: Callable[[ReceiverClient], Any]) -> Any:
+        async def go() -> Any:
+            http = httpx.AsyncClient(base_url=URL, transport=httpx.MockTransport(self.handle))
+            async with ReceiverClient(http, sleep=self.sleep, rng=np.random.default_rng(0)) as client:
+                return await use(client)
+
+        return anyio.run(go)
+
+
+def send(client: ReceiverClient, rounds: int = 1) -> Any:
+    return client.send(PACKETS, transmission="a", rounds=rounds)
+
+
+def test_a_clean_transmission_is_one_post_of_all_packets() -> None:
+    receiver = Receiver(accepted([]))
+    sent = receiver.run(send)
+    (request,) = receiver.requests
+    assert request.content == b"".join(PACKETS)
+    assert request.headers["Content-Type"] == "application/vnd.msgpack"
+    assert (sent.packets, sent.bytes, sent.retransmitted) == (6, 60, 0)
+
+
+def test_only_what_is_missing_is_sent_again_with_the_number_of_the_attempt() -> None:
+    receiver = Receiver(
+        accepted([1, 4]),
+        accepted([4]),
+        accepted([]),
+    )
+    sent = receiver.run(lambda client: send(client, rounds=9))
+    assert [request.content for request in receiver.requests] == [
+        b"".join(PACKETS),
+        PACKETS[1] + PACKETS[4],
+        PACKETS[4],
+    ]
+    assert [request.headers[ATTEMPT_HEADER] for request in receiver.requests] == ["0", "1", "2"]
+    assert (sent.packets, sent.bytes, sent.retransmitted) == (9, 90, 3)
+    assert sent.receipt.complete
+
+
+def test_rounds_bound_the_retransmissions() -> None:
+    receiver = Receiver(*[accepted([0]) for _ in range(2)])
+    assert not receiver.run(lambda client: send(client, rounds=2)).receipt.complete
+
+
+def test_where_nothing_got_through_everything_is_sent_again() -> None:
+    receiver = Receiver(accepted([], total=None), accepted([]))
+    sent = receiver.run(lambda client: send(client, rounds=3))
+    assert receiver.requests[1].content == b"".join(PACKETS)
+    assert sent.retransmitted == 6
+
+
+def test_long_bodies_are_cut_between_packets(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MAX_BODY_BYTES", 25)
+    receiver = Receiver(*[accepted([]) for _ in range(3)])
+    receiver.run(send)
+    assert [request.content for request in receiver.requests] == [b"".join(PACKETS[i : i + 2]) for i in (0, 2, 4)]
+
+
+def test_failures_that_may_pass_are_tried_again_with_growing_pauses() -> None:
+    receiver = Receiver(
+        httpx.ConnectError("refused"),
+        httpx.Response(503, headers={"Retry-After": "7"}),
+        httpx.ReadTimeout("slow"),
+        accepted([]),
+    )
+    receiver.run(send)
+    policy = RetryPolicy()
+    assert len(receiver.requests) == policy.tries
+    assert policy.first * (1 - policy.jitter) <= receiver.slept[0] <= policy.first
+    assert receiver.slept[1] == 7.0
+    assert 4 * policy.first * (1 - policy.jitter) <= receiver.slept[2] <= 4 * policy.first
+
+
+def test_a_receiver_that_is_not_running_is_named_with_what_to_do() -> None:
+    receiver = Receiver(*[httpx.ConnectError("All connection attempts failed")] * 4)
+    with pytest.raises(LinkError, match=r"receiver\.test does not answer.*receiver serve"):
+        receiver.run(send)
+
+
+@pytest.mark.parametrize(
+    ("answer", "error", "message"),
+    [
+        (
+            httpx.Response(422, json={"title": "t", "detail": "bad spread"}),
+            RefusedError,
+            "422: bad spread",
+        ),
+        (httpx.Response(404, json={"title": "t", "detail": "no such surface"}), NotFoundError, "no such surface"),
+        (httpx.Response(418, text="teapot"), LinkError, "418.*is it a receiver"),
+        (httpx.Response(202, text="<html>"), LinkError, "not answer with a receipt"),
+        (httpx.Response(202, json={"id": "a"}), LinkError, "not answer with a receipt"),
+    ],
+)
+def test_answers_that_no_retry_would_change(answer: httpx.Response, error: type[Exception], message: str) -> None:
+    receiver = Receiver(answer)
+    with pytest.raises(error, match=message):
+        receiver.run(send)
+    assert len(receiver.requests) == 1
+
+
+def test_every_error_of_httpx_that_a_transport_raises_is_ours_at_the_end() -> None:
+    kinds = [httpx.ConnectError, httpx.ConnectTimeout, httpx.ReadError, httpx.ReadTimeout, httpx.WriteError,
+             httpx.WriteTimeout, httpx.PoolTimeout, httpx.RemoteProtocolError, httpx.ProxyError]  # fmt: skip
+    for kind in kinds:
+        with pytest.raises(LinkError):
+            Receiver(*[kind("x")] * 4).run(send)
+
+
+def test_waiting_ends_with_ready_with_failure_or_with_the_time() -> None:
+    def states(*names: str) -> Receiver:
+        return Receiver(*[httpx.Response(200, json={"state": name, "error": {"detail": "too few"}}) for name in names])
+
+    assert states("training", "ready").run(lambda client: client.wait_ready("a"))["state"] == "ready"
+    with pytest.raises(TrainingError, match="too few"):
+        states("training", "failed").run(lambda client: client.wait_ready("a"))
+    with pytest.raises(TrainingError, match="nothing of a reached"):
+        states("receiving").run(lambda client: client.wait_ready("a"))
+    with pytest.raises(LinkError, match=r"not ready after 0\.2"):
+        states("training", "training").run(lambda client: client.wait_ready("a", timeout=0.2))
+
+
+@pytest.mark.parametrize("url", ["ftp://x", "localhost:8001", "", "http://", "http://a:b"])
+def test_a_url_that_is_none_is_refused(url: str) -> None:
+    with pytest.raises(ParameterError, match="URL"):
+        ReceiverClient.connect(url)
+
+
+def test_an_array_that_is_none_is_refused() -> None:
+    receiver = Receiver(httpx.Response(200, content=json.dumps([1]).encode()))
+    with pytest.raises(LinkError, match="did not answer with an array"):
+        receiver.run(lambda client: client.features("a"))
