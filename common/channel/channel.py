@@ -76,7 +76,7 @@ class Channel:
     --------
     >>> channel = Channel.parse("gaussian:std=0.1,axes=xyz;erasure:p=0.05", seed=7)
     >>> str(channel)
-    'gaussian:axes=xyz,std=0.1;erasure:p=0.05;seed=7'
+    'gaussian:std=0.1,axes=xyz;erasure:p=0.05;seed=7'
     >>> Channel.parse(str(channel)) == channel
     True
     """

@@ -155,11 +155,16 @@ def to_text(impairments: Iterable[Impairment], seed: int) -> str:
 
 
 def _part_text(impairment: Impairment) -> str:
-    parameters = parameters_of(impairment)
-    arguments = ",".join(f"{name}={value}" for name, value in parameters.items())
+    arguments = ",".join(f"{name}={_value_text(value)}" for name, value in parameters_of(impairment).items())
     return f"{impairment.kind}:{arguments}" if arguments else impairment.kind
 
 
+def _value_text(value: object) -> str:
+    return repr(value).removesuffix(".0") if isinstance(value, float) else str(value)
+
+
 def parameters_of(impairment: Impairment) -> dict[str, object]:
-    """The parameters that differ from their defaults."""
-    return impairment.model_dump(mode="json", exclude={"kind"}, exclude_defaults=True)
+    """The parameters that differ from their defaults, the impairment's own before those that all have."""
+    given = impairment.model_dump(mode="json", exclude={"kind"}, exclude_defaults=True)
+    inherited = [name for base in type(impairment).__mro__[1:] for name in vars(base).get("__annotations__", {})]
+    return {name: given[name] for name in sorted(given, key=lambda name: name in inherited)}
