@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 
 from common.channel.channel import Channel, Delivery
 from common.errors import ParameterError, WireError
 from common.wire import split
+from common.wire.framing import EXTENSION, MIN_PAYLOAD
 
 ATTEMPT_HEADER = "Surfacelink-Attempt"
 """Request header: 0 for the first sending of a transmission, 1, 2, ... for the next (absent: 0)."""
@@ -14,6 +16,11 @@ FAULTS_HEADER = "Surfacelink-Faults"
 """Header of a harmed request and of its answer: how many datagrams each impairment touched,
 such as ``erasure=2, gaussian=10``, or ``none``."""
 MAX_ATTEMPT = 2**31 - 1
+
+PACKET_START = re.compile(
+    rb"(?:\xc7(?P<short>[\x%02x-\xff])|\xc8(?P<long>..))\x%02x" % (MIN_PAYLOAD, EXTENSION), re.DOTALL
+)
+"""How a packet starts: a msgpack extension of our type, its length in one byte or in two."""
 
 _TRANSMISSION = re.compile(r"/v1/transmissions/(?P<transmission>[^/]+)/?")
 
@@ -37,13 +44,30 @@ def attempt_of(header: str | None) -> int:
     return int(header)
 
 
-def carry(channel: Channel, body: bytes, *, transmission: str, attempt: int = 0) -> Delivery:
-    """Send the datagrams of a body through the channel; a body that is no run of packets goes as one datagram."""
+def datagrams_of(body: bytes) -> list[bytes]:
+    """The datagrams of a body; end to end they are the body, whatever it is.
+
+    A body that is no run of packets, because a channel before this one damaged it, is cut wherever a packet seems to
+    start.
+    """
     try:
-        packets = split(body)
+        return split(body)
     except WireError:
-        packets = [body] if body else []
-    return channel.transmit(packets, transmission=transmission, attempt=attempt)
+        return _cut(body)
+
+
+def _cut(body: bytes) -> list[bytes]:
+    cuts, position = [0], 0
+    while (start := PACKET_START.search(body, position)) is not None:
+        length = int.from_bytes(start["short"] or start["long"], "big")
+        position = min(start.end() + length, len(body))
+        cuts += [start.start(), position]
+    return [body[a:b] for a, b in pairwise([*cuts, len(body)]) if a < b]
+
+
+def carry(channel: Channel, body: bytes, *, transmission: str, attempt: int = 0) -> Delivery:
+    """Send the datagrams of a body through the channel."""
+    return channel.transmit(datagrams_of(body), transmission=transmission, attempt=attempt)
 
 
 def faults_header(delivery: Delivery) -> str:

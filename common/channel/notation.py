@@ -6,7 +6,8 @@ Short string::
     part    = kind [":" name "=" value *("," name "=" value)]  /  profile  /  "profile:" profile  /  "seed=" integer
 
 for example ``gaussian:std=0.1,axes=xyz;erasure:p=0.05;seed=7``. A profile stands for its impairments. JSON is
-``{"impairments": [{"kind": "gaussian", "std": 0.1, "axes": "xyz"}], "seed": 7}``, or a JSON string in the short form.
+``{"impairments": [{"kind": "gaussian", "std": 0.1, "axes": "xyz"}], "seed": 7}``, or ``{"spec": short string}``, or
+just the short string.
 """
 
 from __future__ import annotations
@@ -129,17 +130,24 @@ def parse_json(document: object) -> tuple[tuple[Impairment, ...], int | None]:
     """Impairments and seed of a decoded JSON document; raises ChannelError."""
     if isinstance(document, str):
         return parse_text(document)
-    if not isinstance(document, Mapping):
-        raise ChannelError('a channel in JSON is {"impairments": [...], "seed": 0} or a string in the short form')
-    members = ("impairments", "seed")
+    if not isinstance(document, Mapping) or {"impairments", "spec"} <= document.keys():
+        raise ChannelError(
+            'a channel in JSON is {"impairments": [...], "seed": 0}, {"spec": "...", "seed": 0} or a short string'
+        )
+    members = ("impairments", "spec", "seed")
     for name in document:
         if name not in members:
             raise ChannelError(f"a channel has no member {str(name)[:40]!r}{_hint(str(name), members)}")
+    given = check_seed(document["seed"]) if "seed" in document else None
+    if "spec" in document:
+        if not isinstance(document["spec"], str):
+            raise ChannelError("spec must be a short string, such as gaussian:std=0.1;erasure:p=0.05")
+        impairments, seed = parse_text(document["spec"])
+        return impairments, given if seed is None else seed
     parts = document.get("impairments", [])
     if not isinstance(parts, list) or len(parts) > MAX_IMPAIRMENTS:
         raise ChannelError(f"impairments must be a list of at most {MAX_IMPAIRMENTS}")
-    seed = check_seed(document["seed"]) if "seed" in document else None
-    return check_impairments(map(_parse_member, parts)), seed
+    return check_impairments(map(_parse_member, parts)), given
 
 
 def _parse_member(part: object) -> Impairment:

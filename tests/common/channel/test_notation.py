@@ -41,6 +41,8 @@ def test_the_seed_in_the_text_goes_before_the_default() -> None:
     assert Channel.parse("erasure:p=0.1", seed=4).seed == 4
     assert Channel.parse("erasure:p=0.1;seed=0", seed=4).seed == 0
     assert Channel.from_json({"seed": 6}, seed=4).seed == 6
+    assert Channel.from_json({"spec": "erasure:p=0.1", "seed": 6}) == Channel.parse("erasure:p=0.1;seed=6")
+    assert Channel.from_json({"spec": "erasure:p=0.1;seed=5", "seed": 6}).seed == 5
 
 
 def test_equal_channels_are_equal_however_they_are_made() -> None:
@@ -88,8 +90,8 @@ def test_what_is_wrong_is_named_and_what_is_accepted_is_said(text: str, message:
 @pytest.mark.parametrize(
     ("document", "message"),
     [
-        (3, "string in the short form"),
-        (None, "string in the short form"),
+        (3, "short string"),
+        (None, "short string"),
         ({"impairment": []}, "did you mean 'impairments'"),
         ({"impairments": {}}, "list"),
         ({"impairments": ["erasure"]}, "kind"),
@@ -99,6 +101,8 @@ def test_what_is_wrong_is_named_and_what_is_accepted_is_said(text: str, message:
         ({"impairments": [{"kind": "erasure", "q": 1}]}, "'q'"),
         ({"seed": 1.5}, "seed"),
         ({"seed": True}, "seed"),
+        ({"spec": 3}, "spec must be a short string"),
+        ({"spec": "clean", "impairments": []}, "short string"),
     ],
 )
 def test_wrong_json_is_named(document: object, message: str) -> None:

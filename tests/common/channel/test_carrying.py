@@ -1,0 +1,57 @@
+"""Bodies to datagrams, and the two headers."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from common.channel import Channel
+from common.channel.carrying import attempt_of, carry, datagrams_of, faults_header, transmission_of
+from common.errors import ParameterError
+
+
+def test_a_body_is_cut_into_its_datagrams(few_packets: list[bytes]) -> None:
+    assert datagrams_of(b"".join(few_packets)) == few_packets
+    assert datagrams_of(b"") == []
+
+
+def test_a_damaged_body_loses_no_more_datagrams_than_were_damaged(few_packets: list[bytes]) -> None:
+    broken = [*few_packets[:3], b"\x00noise", few_packets[3][:20], *few_packets[4:], few_packets[0][:-1]]
+    found = datagrams_of(b"".join(broken))
+    assert b"".join(found) == b"".join(broken)
+    # The length that the cut one claims reaches into the next.
+    assert set(found) >= {*few_packets[:3], *few_packets[6:]}
+
+
+@given(st.binary(max_size=300) | st.lists(st.sampled_from([b"\xc7", b"\x20", b"\x53", b"\xc8", b"\x00"])).map(b"".join))
+def test_the_datagrams_of_any_body_are_the_body(body: bytes) -> None:
+    datagrams = datagrams_of(body)
+    assert b"".join(datagrams) == body
+    assert all(datagrams)
+
+
+def test_channels_in_a_row_each_harm_packets(few_packets: list[bytes]) -> None:
+    body = b"".join(few_packets)
+    once = carry(Channel.parse("bit_errors:ber=1e-3;truncation:p=0.1"), body, transmission="hills").body
+    twice = carry(Channel.parse("erasure:p=0.5"), once, transmission="hills")
+    assert 0.3 < len(twice.body) / len(once) < 0.7
+
+
+def test_the_path_names_the_transmission() -> None:
+    assert transmission_of("/v1/transmissions/a b") == "a b"
+    for path in ("/v1/transmissions/", "/v1/transmissions", "/v1/transmissions/a/b", "/x/v1/transmissions/a", ""):
+        assert transmission_of(path) is None
+
+
+def test_the_attempt_is_a_count() -> None:
+    assert [attempt_of(header) for header in (None, "0", " 7 ")] == [0, 0, 7]
+    for header in ("", "-1", "1.0", "x", "٣", "99999999999", str(2**31)):
+        with pytest.raises(ParameterError, match="integer"):
+            attempt_of(header)
+
+
+def test_the_faults_are_counted_by_kind(few_packets: list[bytes]) -> None:
+    delivery = Channel.parse("erasure:p=1;gaussian:std=1").transmit(few_packets, transmission="t")
+    assert faults_header(delivery) == f"erasure={len(few_packets)}"
+    assert faults_header(Channel().transmit(few_packets, transmission="t")) == "none"

@@ -1,0 +1,95 @@
+"""ChannelTransport: the same harm as the channel's own, on the sender's side."""
+
+from __future__ import annotations
+
+import httpx
+import numpy as np
+import pytest
+
+from common.channel import Channel
+from common.errors import ParameterError
+from common.surface import FeatureSet, Region
+from common.wire import encode
+from sender.transport import ChannelTransport
+
+URL = "http://receiver/v1/transmissions/hills"
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+@pytest.fixture(scope="module")
+def packets() -> list[bytes]:
+    points = np.random.default_rng(2).uniform(-1, 1, (400, 3))
+    return encode(FeatureSet(points, Region(-1, 1, -1, 1)), transmission="hills")
+
+
+class Recorder:
+    """A server that keeps what it is sent, and a clock."""
+
+    def __init__(self) -> None:
+        self.requests: list[httpx.Request] = []
+        self.slept: list[float] = []
+
+    async def answer(self, request: httpx.Request) -> httpx.Response:
+        await request.aread()
+        self.requests.append(request)
+        return httpx.Response(202)
+
+    async def sleep(self, seconds: float) -> None:
+        self.slept.append(seconds)
+
+    def client(self, channel: str) -> httpx.AsyncClient:
+        transport = ChannelTransport(httpx.MockTransport(self.answer), Channel.parse(channel, seed=3), sleep=self.sleep)
+        return httpx.AsyncClient(transport=transport)
+
+
+SPEC = "gaussian:std=0.1;erasure:p=0.3;duplication:p=0.1"
+
+
+@pytest.mark.anyio
+async def test_the_server_gets_what_the_channel_delivers(packets: list[bytes]) -> None:
+    recorder = Recorder()
+    async with recorder.client(SPEC) as client:
+        answer = await client.post(
+            URL, content=b"".join(packets), headers={"Surfacelink-Attempt": "2", "X-Other": "kept"}
+        )
+    expected = Channel.parse(SPEC, seed=3).transmit(packets, transmission="hills", attempt=2)
+    (request,) = recorder.requests
+    assert request.content == expected.body
+    assert request.headers.get_list("content-length") == [str(len(expected.body))]
+    assert request.headers["x-other"] == "kept"
+    counts = dict(part.split("=") for part in answer.headers["surfacelink-faults"].split(", "))
+    assert counts == {kind: str(count) for kind, count in expected.counts.items()}
+
+
+@pytest.mark.anyio
+async def test_everything_else_passes_untouched(packets: list[bytes]) -> None:
+    recorder, body = Recorder(), b"".join(packets)
+    async with recorder.client("erasure:p=1") as client:
+        await client.post("http://receiver/v1/surfaces", content=body)
+        await client.put(URL, content=body)
+        await client.get(URL)
+        await client.post(URL, content=body)
+        client._transport.channel = Channel()  # type: ignore[attr-defined]
+        await client.post(URL, content=body)
+    assert [request.content for request in recorder.requests] == [body, body, b"", b"", body]
+
+
+@pytest.mark.anyio
+async def test_the_delay_of_the_link_is_waited_for(packets: list[bytes]) -> None:
+    recorder = Recorder()
+    async with recorder.client("delay:seconds=0.3;rate:bits_per_second=10000") as client:
+        await client.post(URL, content=b"".join(packets))
+    assert recorder.slept == [pytest.approx(0.3 + 8 * sum(map(len, packets)) / 10_000)]
+
+
+@pytest.mark.anyio
+async def test_a_wrong_attempt_is_our_error(packets: list[bytes]) -> None:
+    recorder = Recorder()
+    async with recorder.client(SPEC) as client:
+        with pytest.raises(ParameterError, match="Surfacelink-Attempt"):
+            await client.post(URL, content=b"".join(packets), headers={"Surfacelink-Attempt": "first"})
+    assert not recorder.requests
