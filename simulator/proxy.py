@@ -20,9 +20,10 @@ from starlette.routing import Route
 
 from common.channel import Channel
 from common.errors import ChannelError, LimitError, LinkError, ParameterError, SurfacelinkError
+from common.problems import problem_of
 from common.wire.limits import MAX_BODY
 from receiver.middleware import ChannelMiddleware, Sleep
-from receiver.problems import problem_of, respond
+from receiver.problems import respond
 
 TIMEOUT = httpx.Timeout(connect=5.0, write=60.0, pool=60.0, read=None)
 """Seconds. Reading has no limit: a stream of events may be silent for as long as it likes."""
