@@ -7,6 +7,7 @@ import scipy.linalg
 from scipy.linalg import lapack
 
 from common.errors import TrainingError
+from common.network.selection import TINY, Samples
 from common.surface import FloatArray
 
 _MAX_RAISES = 12
@@ -61,12 +62,15 @@ class Dense:
         diagonal = np.diag(inverse) - self.one**2 / self.one.sum()
         return coefficients / diagonal[:, None], 1 / diagonal
 
-    def likelihood(self, y: FloatArray, coefficients: FloatArray) -> tuple[float, float]:
+    def restricted(self, samples: Samples, coefficients: FloatArray) -> tuple[float, float]:
         """Restricted negative log likelihood and the signal variance that minimises it."""
-        n, outputs = y.shape
-        variance = max(float(np.sum(y * coefficients)), np.finfo(float).tiny) / ((n - 1) * outputs)
+        n, outputs = samples.y.shape
+        free = n - 1 + samples.repeats
+        squares = float(np.sum(samples.y * coefficients)) + samples.scatter / self.smoothing
+        variance = max(squares, TINY) / (free * outputs)
         log_det = 2 * float(np.log(np.diag(self.factor)).sum()) + float(np.log(self.one.sum()))
-        return 0.5 * outputs * ((n - 1) * np.log(variance) + log_det), variance
+        log_det += samples.repeats * float(np.log(self.smoothing))
+        return 0.5 * outputs * (free * float(np.log(variance)) + log_det), variance
 
     def posterior_variance(self, cross: FloatArray) -> FloatArray:
         """Variance over the signal variance, shape (m,), where the kernel to the centres is `cross` (n, m)."""

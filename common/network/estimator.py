@@ -9,20 +9,20 @@ from typing import Any, Literal, Self, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from common.errors import NotReadyError, ParameterError, PointsError
-from common.network import expansion
+from common.errors import NotReadyError, ParameterError, PointsError, TrainingError
+from common.network import autoassociative, evaluation, greedy, robust, search
 from common.network.dense import Dense
-from common.network.kernel import Kernel, ladder_spreads, mean_spacing, nearest_distance
-from common.network.selection import SMOOTHINGS, average, candidate_kernels, rounding_floor
+from common.network.kernel import Kernel, chunks, ladder_spreads, mean_spacing, nearest_distance
+from common.network.selection import SMOOTHINGS, Fit, Samples, families, rounding_floor
 from common.surface import FloatArray, IntArray
 
 Callback: TypeAlias = Callable[[str, float], None]
 
-AVERAGED = 400
-"""Points up to which all candidates are averaged; of more points, a sample this large chooses one candidate."""
+DENSE = 6000
+"""Points up to which one matrix holds the kernel: 288 MB a copy."""
 
-EXPLODED = 1.0
-"""A fit whose leave-one-out error is this many times the deviation of the values is worse than their mean."""
+EXPLODED = 2.0
+"""A fit whose leave-one-out error is this many times the deviation of the values is far worse than their mean."""
 
 
 class NetworkWarning(UserWarning):
@@ -108,29 +108,40 @@ class RBFNetwork:
             If X or y is not finite, of the wrong shape or of too few points.
         ParameterError
             If a setting is out of its bounds.
+        TrainingError
+            If no network can be trained on these points.
         """
         positions, values = _training_arrays(X, y)
         self._check_settings()
-        self.n_features_in_ = positions.shape[1]
-        self._single_output = np.ndim(y) == 1
-        self._notes: list[str] = []
-        self.outliers_ = np.zeros(0, dtype=np.int64)
-        self.history_ = np.zeros(0)
-        self.stop_reason_ = "every point is a centre"
-        if self.mapping == "autoassociative" or self.tolerance or self.max_centers is not None:
-            raise ParameterError("accepted for now are mapping 'height', tolerance 0 and max_centers None")
-
-        unique, means, weights, scatter = merge_repeated(positions, values)
+        if self.mapping == "autoassociative" and values.shape[1] != 1:
+            raise ParameterError(f"mapping 'autoassociative' takes one value a position, got {values.shape[1]}")
+        notes: list[str] = []
+        unique, means, weights, scatter, group = merge_repeated(positions, values)
         self._origin, self._unit = unique.mean(axis=0), float(np.sqrt(np.var(unique, axis=0).sum())) or 1.0
         self._level = means.mean(axis=0)
         self._height = np.where((deviation := means.std(axis=0)) > 0, deviation, 1.0)
-        scaled = (unique - self._origin) / self._unit
-        heights = (means - self._level) / self._height
-        self._fit_dense(scaled, heights, weights, scatter / self._height**2, len(values))
-        self.centers_ = unique
-        for note in self._notes:
+        samples = Samples(
+            (unique - self._origin) / self._unit,
+            (means - self._level) / self._height,
+            weights,
+            float(np.sum(scatter / self._height**2)),
+            len(positions) - len(unique),
+        )
+        self._single_output = np.ndim(y) == 1
+        self._lifted = self.mapping == "autoassociative"
+        if len(samples) > DENSE:
+            raise TrainingError(f"{len(samples)} distinct positions; at most {DENSE} are accepted")
+        if self._lifted:
+            self._fit_lifted(samples)
+        else:
+            self._fit_heights(samples, notes)
+        out = self._set_aside
+        self.n_features_in_ = positions.shape[1]
+        self.outliers_ = np.flatnonzero(np.isin(group, out)).astype(np.int64)
+        self._publish()
+        self.notes_ = tuple(notes)
+        for note in notes:
             warnings.warn(note, NetworkWarning, stacklevel=2)
-        self.notes_ = tuple(self._notes)
         return self
 
     def _check_settings(self) -> None:
@@ -152,106 +163,190 @@ class RBFNetwork:
         if self.callback is not None:
             self.callback(stage, fraction)
 
-    def _fit_dense(self, X: FloatArray, y: FloatArray, weights: FloatArray, scatter: FloatArray, samples: int) -> None:
-        """Every point a centre; X and y in units of their own extent."""
-        n = len(X)
+    def _fit_heights(self, samples: Samples, notes: list[str]) -> None:
+        """Positions to values; `samples` in units of their own extent."""
         self._tick("selection", 0.0)
-        spacing = mean_spacing(X) or 1.0
-        if self.spread == "auto":
-            spreads = ladder_spreads(spacing, 2 * float(np.ptp(X, axis=0).max()) or 1.0)
-            kernels = candidate_kernels(spreads)
-        else:
-            given = 2 * nearest_distance(X) if self.spread == "paper" else float(self.spread) / self._unit
-            spreads, kernels = np.array([given or 1.0]), np.ones((1, 1))
-        floor = rounding_floor(n)
-        if self.smoothing == "auto":
-            smoothings = SMOOTHINGS[floor <= SMOOTHINGS]
-        else:
-            smoothings = np.array([max(float(self.smoothing), floor)])
-        rows = np.arange(n)
-        if n > AVERAGED:
-            rows = np.sort(np.random.default_rng(0).permutation(n)[:AVERAGED])
-        chosen = average(
-            X[rows],
-            y[rows],
-            spreads,
-            kernels,
-            smoothings,
-            weights=weights[rows],
-            scatter=float(scatter.sum()) * len(rows) / n,
-            samples=len(rows) + (samples - n) * len(rows) // n,
-            tick=lambda fraction: self._tick("selection", fraction),
+        smoothing = None if self.smoothing == "auto" else float(self.smoothing)
+        fit = self._select(samples, smoothing)
+        if smoothing is not None and _exploded(fit):
+            notes.append(
+                f"smoothing {smoothing:g} with this spread leaves the fit unstable (leave-one-out error "
+                f"{float(np.sqrt(np.mean(fit.residuals**2))):.3g} times the deviation of the values); "
+                "the smoothing was chosen from the data instead"
+            )
+            smoothing = None
+            fit = self._select(samples, None)
+        fit, self._set_aside = robust.set_aside(
+            samples, fit, lambda part, quick: self._select(part, smoothing, quick=quick)
         )
-        self._kernel, self._lambda, self._variance = chosen.kernel, chosen.smoothing, chosen.variance
-        coefficients, bias, levels = chosen.coefficients, chosen.bias, chosen.spreads
-        if n > AVERAGED:
-            self._tick("solve", 0.0)
-            dense = Dense(self._kernel.gram(X), weights, self._lambda)
-            c, bias = dense.solve(y)
-            self._lambda, levels = dense.smoothing, self._kernel.spreads
-            _, self._variance = dense.likelihood(y, c)
-            coefficients = self._kernel.amplitudes[:, None, None] * c
-        self._tick("solve", 1.0)
-        self._X, self._weights = X, weights
-        self._spreads, self._coefficients, self._bias = levels, coefficients, bias
+        samples = samples.without(self._set_aside)
+        self._support, self._weights = samples.X, samples.weights
+        self._kernel, self._lambda, self._variance = fit.kernel, fit.smoothing, fit.variance
+        self._calibration = _calibration(fit)
         self._factor: Dense | None = None
-        self._publish()
+        if self.tolerance or self.max_centers is not None:
+            self._choose_centers(samples, fit)
+        else:
+            self._neurons, self._spreads, self._coefficients, self._bias = (
+                samples.X,
+                fit.spreads,
+                fit.coefficients,
+                fit.bias,
+            )
+            self.history_, self.stop_reason_ = np.zeros(0), "every point is a centre"
+        self._tick("solve", 1.0)
+
+    def _select(self, samples: Samples, smoothing: float | None, *, quick: bool = False) -> Fit:
+        extent = float(np.ptp(samples.X, axis=0).max()) or 1.0
+        spreads = ladder_spreads(mean_spacing(samples.X) or 1.0, 2 * extent)
+        if self.spread == "auto":
+            kinds = families(spreads, extent)
+        else:
+            given = 2 * nearest_distance(samples.X) if self.spread == "paper" else float(self.spread) / self._unit
+            spreads = np.array([given or 1.0])
+            kinds = [("single", float(spreads[0]))]
+        floor = rounding_floor(len(samples))
+        smoothings = SMOOTHINGS[floor <= SMOOTHINGS] if smoothing is None else np.array([max(smoothing, floor)])
+        return search.fit(
+            samples, kinds, spreads, smoothings, lambda share: self._tick("selection", share), quick=quick
+        )
+
+    def _choose_centers(self, samples: Samples, fit: Fit) -> None:
+        """Fewer neurons than points: the kernel of the best candidate, centres by the Newton basis."""
+        chosen = greedy.select(
+            samples.X,
+            samples.y - fit.bias,
+            fit.kernel.gram,
+            smoothing=fit.smoothing,
+            weights=samples.weights,
+            tolerance=self.tolerance / float(self._height.max()),
+            max_centers=self.max_centers,
+            tick=lambda share: self._tick("centres", share),
+        )
+        self._neurons = samples.X[chosen.indices]
+        self._spreads, self._bias = fit.kernel.spreads, fit.bias
+        self._coefficients = fit.kernel.amplitudes[:, None, None] * chosen.coefficients
+        self.history_ = chosen.history * float(self._height.max())
+        self.stop_reason_ = chosen.stop_reason
+
+    def _fit_lifted(self, samples: Samples) -> None:
+        """Points to points: the value is one more coordinate, in units of its own deviation."""
+        self._tick("selection", 0.0)
+        points = np.column_stack([samples.X, samples.y])
+        spread = {"auto": None, "paper": 2 * nearest_distance(points) or 1.0}.get(
+            str(self.spread), None if isinstance(self.spread, str) else float(self.spread) / self._unit
+        )
+        smoothing = None if isinstance(self.smoothing, str) else float(self.smoothing)
+        spread, smoothing = autoassociative.choose(
+            points, samples.weights, spread, smoothing, lambda share: self._tick("selection", share)
+        )
+        coefficients, self._bias, dense = autoassociative.fit(points, samples.weights, spread, smoothing)
+        residuals, deviations = dense.leave_one_out(coefficients)
+        self._variance = float(np.mean(residuals[:, -1] ** 2 / deviations))
+        self._neurons = self._support = points
+        self._weights, self._factor, self._calibration = samples.weights, dense, 1.0
+        self._kernel, self._lambda = Kernel.single(spread), dense.smoothing
+        self._spreads, self._coefficients = self._kernel.spreads, coefficients[None]
+        self._set_aside = np.zeros(0, dtype=np.int64)
+        self.history_, self.stop_reason_ = np.zeros(0), "every point is a centre"
+        self._tick("solve", 1.0)
 
     def _publish(self) -> None:
+        """The learned attributes, in the caller's units."""
+        origin, height = self._origin, self._height
+        if self._lifted:
+            origin = np.append(origin, 0.0)
+        centers = self._neurons * self._unit + origin
+        bias = self._bias
+        if self._lifted:
+            centers[:, -1] = self._neurons[:, -1] * self._height[0] + self._level[0]
+            scale = np.append(np.full(len(self._origin), self._unit), self._height)
+            self.bias_ = bias * scale + np.append(self._origin, self._level)
+            coefficients = self._coefficients * scale
+        else:
+            self.bias_ = self._level + bias * height
+            coefficients = self._coefficients * height
+            if self._single_output:
+                coefficients = coefficients[:, :, 0]
+        self.centers_ = centers
         spreads = self._spreads * self._unit
-        coefficients = self._coefficients * self._height
-        if self._single_output:
-            coefficients = coefficients[:, :, 0]
         single = len(spreads) == 1
         self.spread_ = float(spreads[0]) if single else spreads
         self.coefficients_ = coefficients[0] if single else coefficients
-        self.bias_ = self._level + self._bias * self._height
         self.smoothing_ = self._lambda
 
     def predict(self, X: npt.ArrayLike, return_std: bool = False) -> Any:
-        """Values at positions X (m, d), shape (m,) or (m, k); with `return_std` also their deviation, (m,) or (m, k).
+        """Values at positions X (m, d), shape (m,) or (m, k); with `return_std` their deviation, too.
 
         The deviation is that of the surface, without the noise of a new measurement.
         """
         scaled = self._scaled(X)
-        values = expansion.evaluate(scaled, self._X, self._spreads, self._coefficients) + self._bias
-        heights = self._shaped(values * self._height + self._level)
-        return (heights, self._shaped(self._deviation(scaled))) if return_std else heights
+        if self._lifted:
+            values, slope = self._lifted_heights(scaled)
+        else:
+            values = evaluation.evaluate(scaled, self._neurons, self._spreads, self._coefficients) + self._bias
+            slope = np.zeros(len(scaled))
+        result = self._shaped(values * self._height + self._level)
+        if not return_std:
+            return result
+        where = np.column_stack([scaled, values]) if self._lifted else scaled
+        return result, self._shaped(
+            self._deviation(where) / np.maximum(np.abs(1 - slope), autoassociative.LEAST_SLOPE)[:, None]
+        )
 
     def predict_grid(self, x: npt.ArrayLike, y: npt.ArrayLike, return_std: bool = False) -> Any:
         """Values on a grid, shape (len(y), len(x)) or (len(y), len(x), k); positions must be in the plane."""
         self._check_fitted()
         if self.n_features_in_ != 2:
             raise PointsError(f"a grid needs positions in the plane; the network was fitted in {self.n_features_in_}")
-        axis_x, axis_y = (np.asarray(a, dtype=np.float64) for a in (x, y))
-        values = expansion.evaluate_grid(
+        axis_x, axis_y = _finite(x, "x"), _finite(y, "y")
+        if axis_x.ndim != 1 or axis_y.ndim != 1:
+            raise PointsError(f"x and y must be one-dimensional, got the shapes {axis_x.shape} and {axis_y.shape}")
+        if return_std or self._lifted:
+            nodes = np.stack(np.meshgrid(axis_x, axis_y), axis=-1).reshape(-1, 2)
+            shape = (len(axis_y), len(axis_x)) + (() if self._single_output else (len(self._height),))
+            found = self.predict(nodes, return_std)
+            if return_std:
+                return found[0].reshape(shape), found[1].reshape(shape)
+            return found.reshape(shape)
+        values = evaluation.evaluate_grid(
             (axis_x - self._origin[0]) / self._unit,
             (axis_y - self._origin[1]) / self._unit,
-            self._X,
+            self._neurons,
             self._spreads,
             self._coefficients,
         )
         grid = (values + self._bias) * self._height + self._level
-        grid = grid[:, :, 0] if self._single_output else grid
-        if not return_std:
-            return grid
-        nodes = np.stack(np.meshgrid(axis_x, axis_y), axis=-1).reshape(-1, 2)
-        return grid, self._shaped(self._deviation(self._scaled(nodes))).reshape(grid.shape)
+        return np.ascontiguousarray(grid[:, :, 0]) if self._single_output else grid
 
     def predict_gradient(self, X: npt.ArrayLike) -> FloatArray:
         """Derivatives at X (m, d), shape (m, d) or (m, k, d), in units of y over units of X."""
         scaled = self._scaled(X)
-        slopes = expansion.gradient(scaled, self._X, self._spreads, self._coefficients)
-        slopes *= (self._height / self._unit)[:, None]
+        if self._lifted:
+            values, slope = self._lifted_heights(scaled)
+            scaled = np.column_stack([scaled, values])
+        slopes = evaluation.gradient(scaled, self._neurons, self._spreads, self._coefficients)
+        if self._lifted:
+            # The fixed point z = f_z(x, z) has the derivative f_zx / (1 - f_zz).
+            least = autoassociative.LEAST_SLOPE
+            steep = np.where(np.abs(1 - slope) > least, 1 - slope, least)
+            slopes = slopes[:, -1:, :-1] / steep[:, None, None]
+        slopes = slopes * (self._height / self._unit)[:, None]
         return np.asarray(slopes[:, 0] if self._single_output else slopes)
+
+    def _lifted_heights(self, scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
+        z, slope = autoassociative.heights(
+            scaled, self._neurons, float(self._spreads[0]), self._coefficients[0], self._bias
+        )
+        return z[:, None], slope
 
     def _deviation(self, scaled: FloatArray) -> FloatArray:
         if self._factor is None:
-            self._factor = Dense(self._kernel.gram(self._X), self._weights, self._lambda)
+            self._factor = Dense(self._kernel.gram(self._support), self._weights, self._lambda)
         variance = np.empty(len(scaled))
-        for part in expansion.chunks(len(scaled), len(self._X)):
-            variance[part] = self._factor.posterior_variance(self._kernel.gram(self._X, scaled[part]))
-        return np.asarray(np.sqrt(self._variance * variance)[:, None] * self._height)
+        for part in chunks(len(scaled), len(self._support)):
+            variance[part] = self._factor.posterior_variance(self._kernel.gram(self._support, scaled[part]))
+        return np.asarray(np.sqrt(self._variance * variance)[:, None] * (self._calibration * self._height))
 
     def _shaped(self, values: FloatArray) -> FloatArray:
         return np.asarray(values[:, 0] if self._single_output else values)
@@ -304,14 +399,16 @@ class RBFNetwork:
 
 _SETTINGS = ("callback", "mapping", "max_centers", "smoothing", "spread", "tolerance")
 _STATE = {
-    "centers": "centers_",
     "features": "n_features_in_",
     "single_output": "_single_output",
     "history": "history_",
     "stop_reason": "stop_reason_",
     "outliers": "outliers_",
     "notes": "notes_",
-    "positions": "_X",
+    "support": "_support",
+    "neurons": "_neurons",
+    "lifted": "_lifted",
+    "calibration": "_calibration",
     "weights": "_weights",
     "spreads": "_spreads",
     "coefficients": "_coefficients",
@@ -346,15 +443,27 @@ def _training_arrays(X: npt.ArrayLike, y: npt.ArrayLike) -> tuple[FloatArray, Fl
     return positions, values.reshape(len(values), -1)
 
 
-def merge_repeated(X: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Distinct positions (m, d), their mean values (m, k), samples behind each (m,), sum of squares about them (k,)."""
+def merge_repeated(X: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, IntArray]:
+    """One row for each distinct position, in the order of their first appearance.
+
+    Returns the positions (m, d), their mean values (m, k), the samples behind each (m,), the sum of squares about the
+    means (k,), and the row of each sample among the m (n,).
+    """
     distinct, first, inverse, counts = np.unique(X, axis=0, return_index=True, return_inverse=True, return_counts=True)
-    order = np.argsort(first)
     if len(distinct) == len(X):
-        return X, y, np.ones(len(X)), np.zeros(y.shape[1])
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    group = rank[inverse.ravel()]
+        return X, y, np.ones(len(X)), np.zeros(y.shape[1]), np.arange(len(X))
+    order = np.argsort(first)
+    group = np.argsort(order)[inverse.ravel()]
     weights = counts[order].astype(np.float64)
     means = np.column_stack([np.bincount(group, column) for column in y.T]) / weights[:, None]
-    return distinct[order], means, weights, np.sum((y - means[group]) ** 2, axis=0)
+    return distinct[order], means, weights, np.sum((y - means[group]) ** 2, axis=0), group
+
+
+def _exploded(fit: Fit) -> bool:
+    return not np.all(np.isfinite(fit.coefficients)) or float(np.sqrt(np.mean(fit.residuals**2))) > EXPLODED
+
+
+def _calibration(fit: Fit) -> float:
+    """Factor on the deviations that makes 95 % of the leave-one-out residuals fall within 1.96 of them."""
+    ratios = np.max(np.abs(fit.residuals), axis=1) / fit.deviations
+    return float(np.clip(np.quantile(ratios, 0.95) / 1.96, 0.1, 10.0)) if len(ratios) >= 20 else 1.0

@@ -7,6 +7,7 @@ s_l^(2H), is a scale mixture that imitates the power-law variogram r^(2H) of a r
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -132,3 +133,14 @@ def nearest_distance(X: FloatArray) -> float:
         return 0.0
     distances = np.asarray(KDTree(X).query(X, k=2)[0])
     return float(np.mean(distances[:, 1]))
+
+
+CHUNK = 4_000_000
+"""Kernel values held at once: 32 MB a matrix."""
+
+
+def chunks(rows: int, columns: int) -> Iterator[slice]:
+    """Slices of `rows` such that a matrix of slice by `columns` stays within `CHUNK` values."""
+    step = max(1, CHUNK // max(1, columns))
+    for start in range(0, rows, step):
+        yield slice(start, min(rows, start + step))

@@ -1,32 +1,50 @@
 """Spread and smoothing from the data.
 
-A candidate is a kernel K (single Gaussian or ladder) with a smoothing lambda. Its network solves
-(K + lambda W^-1) c = y - b, W the weights of the points (how many samples stand behind each), b the bias. One
-eigendecomposition of W^1/2 K W^1/2 gives every smoothing two criteria at once:
+A candidate is a kernel K with a smoothing lambda. Its network solves (K + lambda W^-1) c = y - b, W the weights of the
+points, b the bias. Three families of kernels, each with one parameter, share one ladder of spreads:
+
+- *single*: one Gaussian, for surfaces that are infinitely smooth; the parameter is its spread.
+- *multiquadric*: 1 / sqrt(1 + r^2 / l^2) as a scale mixture of Gaussians, for smooth surfaces with a peak; l.
+- *ladder*: amplitudes s^(2H), for rough surfaces; the roughness H.
+
+One eigendecomposition of W^1/2 K W^1/2 gives two criteria for every smoothing at once:
 
 - the restricted likelihood (REML; Patterson and Thompson 1971), the bias integrated out;
-- the leave-one-out residuals r_i = c_i / P_ii (Rippa 1999; Craven and Wahba 1979), P the inverse with the bias
-  projected out, so that the bias, too, is fitted without the point.
+- the leave-one-out predictive density (Sundararajan and Keerthi 2001), from the residuals r_i = c_i / P_ii and their
+  variances 1 / P_ii (Rippa 1999), P the inverse with the bias projected out, so that the bias, too, is fitted without
+  the point.
 
-The candidates are averaged with weights exp(-nll / 2) times (leave-one-out mean square)^(-n/4), the geometric mean of
-the two criteria. Candidates share their centres, so the average is one network again: coefficients per spread add up.
+REML is sure of itself where the kernel is wrong, leaving one out is easily misled by a few noisy points. Candidates are
+averaged with weights exp(-0.2 nll_REML - 0.4 nll_LOO) lambda^0.2: both criteria at less than full strength, and a
+mild preference for smoothing. Candidates share their centres, so the average is one network again: coefficients per
+spread add up. docs/network.md has the table behind the three numbers.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
 import numpy as np
-import scipy.linalg
 
-from common.network.kernel import Kernel, level_matrices, rough_amplitudes, squared_distances
-from common.surface import FloatArray
+from common.network.kernel import Kernel, level_matrices, squared_distances
+from common.surface import FloatArray, IntArray
+
+Family: TypeAlias = Literal["single", "multiquadric", "ladder"]
 
 ROUGHNESS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
-SMOOTHINGS: FloatArray = np.logspace(-13, 1, 43)
+SMOOTHINGS: FloatArray = np.logspace(-13, 0, 27)
+EVIDENCE, LEAVE_ONE_OUT, LEANING = 0.2, 0.4, 0.2
+"""Exponents of the restricted likelihood, the leave-one-out density and the smoothing in a candidate's weight."""
+
+LEAST_NOISE = 1e-8
+"""Smoothings below it are all the same to the preference for smoothing: no noise."""
+
 NEGLIGIBLE = 1e-3
 """Candidates of less weight than this share of the heaviest one are left out of the average."""
+
+TINY = float(np.finfo(np.float64).tiny)
 
 
 def rounding_floor(n: int) -> float:
@@ -34,129 +52,298 @@ def rounding_floor(n: int) -> float:
     return float(4 * n * np.finfo(np.float64).eps)
 
 
-class Spectrum:
-    """W^1/2 K W^1/2 in its eigenbasis: every smoothing at the cost of a product.
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """What the network is fitted to, in units of its own extent.
 
     Parameters
     ----------
-    gram : ndarray, shape (n, n)
-        K at the positions.
+    X : ndarray, shape (n, d)
+        Distinct positions.
     y : ndarray, shape (n, k)
         Values.
     weights : ndarray, shape (n,)
-        Samples behind each value.
+        The noise of a value has the variance lambda / weight; the number of measurements behind it.
     scatter : float
-        Sum of squares of those samples about `y`, over all outputs; it tells of the noise alone.
-    samples : int
-        Number of samples in all.
+        Sum of squares of those measurements about `y`, over all outputs; it tells of the noise alone.
+    repeats : int
+        Measurements beyond the first at each position.
     """
 
-    def __init__(self, gram: FloatArray, y: FloatArray, weights: FloatArray, scatter: float, samples: int) -> None:
-        self.root = np.sqrt(weights)
-        values, self.basis = scipy.linalg.eigh(gram * np.outer(self.root, self.root), driver="evd", check_finite=False)
+    X: FloatArray
+    y: FloatArray
+    weights: FloatArray
+    scatter: float = 0.0
+    repeats: int = 0
+
+    def __len__(self) -> int:
+        return len(self.X)
+
+    def take(self, rows: IntArray) -> Samples:
+        """The samples at `rows`; what repeats there are is shared out evenly."""
+        share = len(rows) / len(self.X)
+        return Samples(
+            self.X[rows], self.y[rows], self.weights[rows], self.scatter * share, round(self.repeats * share)
+        )
+
+    def without(self, rows: IntArray) -> Samples:
+        """All samples but those at `rows`."""
+        return self.take(np.setdiff1d(np.arange(len(self)), rows)) if len(rows) else self
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A kernel of one of the families, by its parameter, and a smoothing."""
+
+    family: Family
+    parameter: float
+    smoothing: float
+
+    def kernel(self, spreads: FloatArray) -> Kernel:
+        """The kernel on a ladder of spreads, shape (levels,)."""
+        if self.family == "single":
+            return Kernel.single(self.parameter)
+        return Kernel.mixture(spreads, amplitudes(self.family, self.parameter, spreads))
+
+
+def amplitudes(family: Family, parameter: float, spreads: FloatArray) -> FloatArray:
+    """Amplitudes of a mixture on the spreads, shape (levels,), adding up to one."""
+    if family == "ladder":
+        shares = (spreads / spreads.max()) ** (2 * parameter)
+    elif family == "multiquadric":
+        # 1 / sqrt(1 + r^2 / l^2) is the mean of exp(-t r^2 / l^2) over t of density t^(-1/2) exp(-t); with
+        # t = l^2 / 2 s^2 the density on a logarithmic ladder of s is t^(1/2) exp(-t).
+        t = 0.5 * (parameter / spreads) ** 2
+        shares = np.sqrt(t) * np.exp(-t)
+    else:
+        shares = (spreads == parameter).astype(np.float64)
+    return np.asarray(shares / shares.sum())
+
+
+def families(spreads: FloatArray, extent: float) -> list[tuple[Family, float]]:
+    """Every family with every parameter worth a trial; `spreads` descending, `extent` the longest side of the points.
+
+    A Gaussian wider than half the points is a polynomial: it fits them and runs away between them.
+    """
+    within = [s for s in spreads.tolist() if s <= extent / 2] or [float(spreads.min())]
+    return [
+        *(("single", s) for s in within),
+        *(("multiquadric", s) for s in within),
+        *(("ladder", h) for h in ROUGHNESS),
+    ]
+
+
+class Spectra:
+    """W^1/2 K W^1/2 of several kernels in their eigenbases: every smoothing at the cost of a product.
+
+    Parameters
+    ----------
+    grams : ndarray, shape (c, n, n)
+        K at the positions, one for each kernel.
+    samples : Samples
+    """
+
+    def __init__(self, grams: FloatArray, samples: Samples) -> None:
+        self.samples = samples
+        self.root = np.sqrt(samples.weights)
+        values, self.basis = np.linalg.eigh(grams * np.outer(self.root, self.root))
         self.values = np.clip(values, 0, None)
-        self.y = self.basis.T @ (self.root[:, None] * y)
-        self.one = self.basis.T @ self.root
-        self.scatter, self.samples = scatter, samples
+        turned = np.swapaxes(self.basis, 1, 2)
+        self.y = turned @ (self.root[:, None] * samples.y)
+        self.one = turned @ self.root
 
     def criteria(self, smoothings: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Restricted nll (m,), leave-one-out mean square (m,) and signal variance (m,) of m smoothings."""
-        inverse = 1 / (self.values[:, None] + smoothings)
-        one_one = self.one**2 @ inverse
-        one_y = (self.one[:, None] * self.y).T @ inverse
-        quadratic = (self.y**2).T @ inverse - one_y**2 / one_one
-        outputs, free = self.y.shape[1], self.samples - 1
-        extra = self.samples - len(self.values)
-        variance = (np.clip(quadratic, np.finfo(float).tiny, None).sum(axis=0) + self.scatter / smoothings) / (
-            free * outputs
+        """Restricted nll, leave-one-out nll and signal variance, shape (c, m) each, of m smoothings.
+
+        The leave-one-out density has a variance of its own, the one that suits its residuals best.
+        """
+        n, outputs = self.samples.y.shape
+        inverse = 1 / (self.values[:, :, None] + smoothings)
+        one_one = np.einsum("cn,cnm->cm", self.one**2, inverse)
+        one_y = np.einsum("cn,cnk,cnm->ckm", self.one, self.y, inverse, optimize=True)
+        quadratic = np.clip(np.einsum("cnk,cnm->cm", self.y**2, inverse) - np.sum(one_y**2, 1) / one_one, TINY, None)
+        free = n - 1 + self.samples.repeats
+        variance = (quadratic + self.samples.scatter / smoothings) / (free * outputs)
+        log_det = np.log(one_one) - np.log(inverse).sum(axis=1) + self.samples.repeats * np.log(smoothings)
+        restricted = 0.5 * outputs * (free * np.log(variance) + log_det - np.log(self.samples.weights).sum())
+
+        solved, diagonal = self._projected(inverse, one_one, one_y)
+        squares = np.clip(np.einsum("cknm,cknm,cnm->cnm", solved, solved, 1 / diagonal, optimize=True), TINY, None)
+        own = squares.mean(axis=1) / outputs
+        spread = np.log(diagonal).sum(axis=1) + np.log(self.samples.weights).sum()
+        return restricted, 0.5 * outputs * (n * np.log(own) - spread), variance
+
+    def _projected(self, inverse: FloatArray, one_one: FloatArray, one_y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """P y (c, k, n, m) and the diagonal of P (c, n, m), both in weighted units."""
+        along_one = self.basis @ (self.one[:, :, None] * inverse)
+        diagonal = np.clip(self.basis**2 @ inverse - along_one**2 / one_one[:, None], TINY, None)
+        solved = np.stack(
+            [
+                self.basis @ (self.y[:, :, k : k + 1] * inverse) - along_one * (one_y[:, k] / one_one)[:, None]
+                for k in range(self.y.shape[2])
+            ],
+            axis=1,
         )
-        log_det = -np.log(inverse).sum(axis=0) + np.log(one_one) + extra * np.log(smoothings)
-        nll = 0.5 * outputs * (free * np.log(variance) + log_det)
-        residuals = self.leave_one_out(inverse)
-        return nll, np.mean(residuals**2, axis=(0, 1)), variance
+        return solved, diagonal
 
-    def leave_one_out(self, inverse: FloatArray) -> FloatArray:
-        """Value minus the prediction without it, shape (n, k, m)."""
-        one_one = self.one**2 @ inverse
-        along_one = self.basis @ (self.one[:, None] * inverse)
-        diagonal = self.basis**2 @ inverse - along_one**2 / one_one
-        residuals = np.empty((*self.y.shape, inverse.shape[1]))
-        for k in range(self.y.shape[1]):
-            column = self.y[:, k : k + 1] * inverse
-            bias = (self.one @ column) / one_one
-            residuals[:, k] = (self.basis @ column - along_one * bias) / diagonal
-        return residuals / self.root[:, None, None]
-
-    def solve(self, smoothings: FloatArray, shares: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Coefficients (n, k) and bias (k,), averaged over the smoothings with the given shares (m,)."""
-        inverse = 1 / (self.values[:, None] + smoothings)
-        bias = ((self.one[:, None] * self.y).T @ inverse) / (self.one**2 @ inverse)
-        averaged = self.y * (inverse @ shares)[:, None] - self.one[:, None] * (inverse @ (shares * bias).T)
-        return self.root[:, None] * (self.basis @ averaged), bias @ shares
+    def solve(self, index: int, smoothings: FloatArray, shares: FloatArray) -> Solution:
+        """The network of one kernel, summed over the smoothings with the given shares (m,)."""
+        one, y, basis = self.one[index], self.y[index], self.basis[index]
+        inverse = 1 / (self.values[index][:, None] + smoothings)
+        one_one = one**2 @ inverse
+        bias = ((one[:, None] * y).T @ inverse) / one_one
+        summed = y * (inverse @ shares)[:, None] - one[:, None] * (inverse @ (shares * bias).T)
+        along_one = basis @ (one[:, None] * inverse)
+        diagonal = np.clip(basis**2 @ inverse - along_one**2 / one_one, TINY, None)
+        left_out = [
+            (basis @ (y[:, k : k + 1] * inverse) - along_one * bias[k]) / diagonal @ shares for k in range(y.shape[1])
+        ]
+        return Solution(
+            self.root[:, None] * (basis @ summed),
+            bias @ shares,
+            np.column_stack(left_out) / self.root[:, None],
+            (1 / diagonal) @ shares / self.samples.weights,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Average:
-    """What the data say: candidates, their shares, and the network they add up to.
+class Solution:
+    """A network and how it fares without each point.
 
-    `coefficients` has the shape (levels, n, k) over `spreads` (levels,); `bias` (k,); `kernel`, `smoothing` and
-    `variance` are those of the candidate of the greatest share.
+    Attributes
+    ----------
+    coefficients : ndarray, shape (n, k)
+    bias : ndarray, shape (k,)
+    residuals : ndarray, shape (n, k)
+        Values less what the network says without them.
+    spread : ndarray, shape (n,)
+        Variance of the residuals over that of the surface.
     """
 
+    coefficients: FloatArray
+    bias: FloatArray
+    residuals: FloatArray
+    spread: FloatArray
+
+    def scaled(self, share: float) -> Solution:
+        """The part of the solution in an average."""
+        return Solution(share * self.coefficients, share * self.bias, share * self.residuals, share * self.spread)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scored:
+    """Candidates and their scores; the share of a candidate is exp(-score), scaled to add up to one."""
+
+    candidates: list[Candidate]
+    scores: FloatArray
+    variances: FloatArray
+    restricted: FloatArray
+
+    @property
+    def shares(self) -> FloatArray:
+        """Shape (candidates,); adding up to one, zero where negligible."""
+        shares = np.exp(self.scores.min() - self.scores)
+        shares[shares < NEGLIGIBLE] = 0
+        return np.asarray(shares / shares.sum())
+
+    @property
+    def best(self) -> Candidate:
+        """The candidate of the least score."""
+        return self.candidates[int(np.argmin(self.scores))]
+
+
+def score(restricted: FloatArray, leave_one_out: FloatArray, smoothings: FloatArray) -> FloatArray:
+    """What a candidate is worth: less is better."""
+    return EVIDENCE * restricted + LEAVE_ONE_OUT * leave_one_out - LEANING * np.log(np.maximum(smoothings, LEAST_NOISE))
+
+
+def average(
+    samples: Samples,
+    kinds: Sequence[tuple[Family, float]],
+    spreads: FloatArray,
+    smoothings: FloatArray,
+    tick: Callable[[float], None],
+) -> Fit:
+    """Score every kind of kernel with every smoothing, and average them."""
+    levels = np.array(level_matrices(squared_distances(samples.X), spreads))
+    mixes = np.array([amplitudes(family, parameter, spreads) for family, parameter in kinds])
+    batch = max(1, _BATCH // max(1, len(samples) ** 2))
+    scores, variances, likelihoods, spectra = [], [], [], []
+    for start in range(0, len(kinds), batch):
+        grams = np.tensordot(mixes[start : start + batch], levels, axes=1)
+        part = Spectra(grams, samples)
+        restricted, left_out, variance = part.criteria(smoothings)
+        scores.append(score(restricted, left_out, smoothings))
+        variances.append(variance)
+        likelihoods.append(restricted)
+        spectra.append(part)
+        tick(min(1.0, (start + batch) / len(kinds)))
+    candidates = [Candidate(family, p, s) for family, p in kinds for s in smoothings.tolist()]
+    scored = Scored(candidates, *(np.concatenate(part).ravel() for part in (scores, variances, likelihoods)))
+    by_kind = scored.shares.reshape(len(kinds), -1)
+    used = np.flatnonzero(by_kind.sum(axis=1)).tolist()
+    return combine(
+        scored,
+        [candidates[i * len(smoothings)].kernel(spreads) for i in used],
+        [spectra[i // batch].solve(i % batch, smoothings, by_kind[i]) for i in used],
+        spreads,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """A fitted network: the average of candidates.
+
+    Attributes
+    ----------
+    scored : Scored
+        The candidates tried.
+    spreads : ndarray, shape (levels,)
+        Descending.
+    coefficients : ndarray, shape (levels, n, k)
+    bias : ndarray, shape (k,)
+    kernel : Kernel
+        Of the best candidate, as is `variance`, that of the surface.
+    smoothing, variance : float
+    residuals : ndarray, shape (n, k)
+        Values less what the network says without them.
+    deviations : ndarray, shape (n,)
+        Standard deviations that the residuals should have.
+    """
+
+    scored: Scored
     spreads: FloatArray
     coefficients: FloatArray
     bias: FloatArray
     kernel: Kernel
     smoothing: float
     variance: float
+    residuals: FloatArray
+    deviations: FloatArray
 
 
-def candidate_kernels(spreads: FloatArray, roughness: Sequence[float] = ROUGHNESS) -> FloatArray:
-    """Amplitudes (candidates, levels): each spread alone, and the whole ladder for each roughness."""
-    return np.vstack([np.eye(len(spreads)), *(rough_amplitudes(spreads, h)[None] for h in roughness)])
-
-
-def average(
-    X: FloatArray,
-    y: FloatArray,
-    spreads: FloatArray,
-    kernels: FloatArray,
-    smoothings: FloatArray,
-    *,
-    weights: FloatArray,
-    scatter: float,
-    samples: int,
-    tick: Callable[[float], None],
-) -> Average:
-    """Average all kernels (amplitudes, one a row) and smoothings on the positions X (n, d) and values y (n, k)."""
-    levels = np.array(level_matrices(squared_distances(X), spreads))
-    kernels = kernels / kernels.sum(axis=1, keepdims=True)
-    spectra: list[Spectrum] = []
-    scores = np.empty((len(kernels), len(smoothings)))
-    variances = np.empty_like(scores)
-    for index, amplitudes in enumerate(kernels):
-        used = np.flatnonzero(amplitudes)
-        gram = np.tensordot(amplitudes[used], levels[used], axes=1)
-        spectra.append(Spectrum(gram, y, weights, scatter, samples))
-        nll, mean_square, variances[index] = spectra[-1].criteria(smoothings)
-        scores[index] = nll / 2 + 0.25 * y.size * np.log(np.clip(mean_square, np.finfo(float).tiny, None))
-        tick((index + 1) / len(kernels))
-    shares = np.exp(scores.min() - scores)
-    shares[shares < NEGLIGIBLE] = 0
-    shares /= shares.sum()
-    coefficients = np.zeros((len(spreads), *y.shape))
-    bias = np.zeros(y.shape[1])
-    for index in np.flatnonzero(shares.sum(axis=1)).tolist():
-        c, b = spectra[index].solve(smoothings, shares[index])
-        coefficients += kernels[index][:, None, None] * c
-        bias += b
-    best_kernel, best_smoothing = np.unravel_index(int(np.argmax(shares)), shares.shape)
-    present = np.flatnonzero(np.any(coefficients != 0, axis=(1, 2)))
-    return Average(
-        spreads[present],
-        coefficients[present],
-        bias,
-        Kernel.mixture(spreads, kernels[best_kernel]),
-        float(smoothings[best_smoothing]),
-        float(variances[best_kernel, best_smoothing]),
+def combine(scored: Scored, kernels: Sequence[Kernel], solutions: Sequence[Solution], ladder: FloatArray) -> Fit:
+    """Add up solutions that carry their shares already; the coefficients per spread add up."""
+    levels: dict[float, FloatArray] = {}
+    for kernel, solution in zip(kernels, solutions, strict=True):
+        for spread, amplitude in zip(kernel.spreads.tolist(), kernel.amplitudes.tolist(), strict=True):
+            part = amplitude * solution.coefficients
+            levels[spread] = levels[spread] + part if spread in levels else part
+    spreads = sorted(levels, reverse=True)
+    best = int(np.argmin(scored.scores))
+    variance = float(scored.variances[best])
+    return Fit(
+        scored=scored,
+        spreads=np.array(spreads),
+        coefficients=np.array([levels[s] for s in spreads]),
+        bias=np.sum([s.bias for s in solutions], axis=0),
+        kernel=scored.best.kernel(ladder),
+        smoothing=scored.best.smoothing,
+        variance=variance,
+        residuals=np.sum([s.residuals for s in solutions], axis=0),
+        deviations=np.sqrt(variance * np.sum([s.spread for s in solutions], axis=0)),
     )
+
+
+_BATCH = 2_000_000
+"""Kernel values decomposed at once: 16 MB an array."""

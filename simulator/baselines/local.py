@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import KDTree
 
-from common.network.expansion import chunks
+from common.network.kernel import chunks
 from common.surface import FloatArray, IntArray
 from simulator.baselines.interpolation import nodes
 

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.cluster.vq import kmeans2
 from scipy.linalg import lstsq
 
-from common.network.expansion import chunks, evaluate_grid
-from common.network.kernel import nearest_distance, squared_distances
+from common.network.evaluation import evaluate_grid
+from common.network.kernel import chunks, nearest_distance, squared_distances
 from common.surface import FloatArray
 from simulator.baselines.interpolation import nodes
 

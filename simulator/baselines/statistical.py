@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.linalg import cho_factor, cho_solve
 
-from common.network.expansion import chunks
+from common.network.kernel import chunks
 from common.surface import FloatArray
 from simulator.baselines.interpolation import nodes
 

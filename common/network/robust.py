@@ -1,0 +1,87 @@
+"""Wrong points: found by what the network says without them, set aside where that explains the rest better.
+
+A point is suspected where its leave-one-out residual is far off the others', in the deviations that the residuals
+should have. The network is fitted again without the suspects; points that the new network agrees with come back. In the
+end the two readings are compared by their likelihood: all points belong to the surface, or the suspects are drawn from
+anywhere within twice the range of the values. So a peak, which is far off but well explained, stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from common.network import evaluation
+from common.network.dense import Dense
+from common.network.selection import Fit, Samples
+from common.surface import FloatArray, IntArray
+
+SUSPECT = 6.0
+"""Robust deviations beyond which a point is suspected: smaller errors do little harm, and are found in real terrain."""
+
+SHARE = 0.05
+"""Expected share of wrong points, in the comparison of the two readings."""
+
+MOST = 0.3
+"""Greatest share of the points that is ever set aside."""
+
+HARMLESS = 0.02
+"""Residuals below this share of the values' deviation are never suspected."""
+
+ROUNDS = 6
+
+
+def set_aside(samples: Samples, fit: Fit, refit: Callable[[Samples, bool], Fit]) -> tuple[Fit, IntArray]:
+    """The fit without the wrong points, and the rows of those; the given fit and no rows where there are none."""
+    n = len(samples)
+    kept = _kept(fit.residuals, fit.deviations)
+    if kept.all() or n < 10:
+        return fit, np.zeros(0, dtype=np.int64)
+    clean = fit
+    rows = np.arange(n)
+    seen: set[bytes] = set()
+    for _ in range(ROUNDS):
+        if kept.all() or np.count_nonzero(~kept) > MOST * n or kept.tobytes() in seen:
+            break
+        seen.add(kept.tobytes())
+        rows = np.flatnonzero(kept)
+        clean = refit(samples.take(rows), True)
+        residuals, deviations = _everywhere(samples, rows, clean)
+        now = _kept(residuals, deviations)
+        if np.array_equal(now, kept):
+            break
+        kept = now
+    out = np.setdiff1d(np.arange(n), rows)
+    clean = refit(samples.take(rows), False)
+    cost = np.log(2 * np.ptp(samples.y, axis=0)).sum() + np.log((1 - SHARE) / SHARE)
+    if _likelihood(clean) + len(out) * cost >= _likelihood(fit):
+        return fit, np.zeros(0, dtype=np.int64)
+    return clean, out
+
+
+def _kept(residuals: FloatArray, deviations: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    ratios = np.max(np.abs(residuals), axis=1) / deviations
+    # The upper quantile keeps the heavy tails of real terrain from being suspected.
+    typical = max(np.median(ratios) / 0.6745, np.quantile(ratios, 0.9) / 1.645)
+    far = np.max(np.abs(residuals), axis=1) > HARMLESS
+    return np.asarray((ratios <= SUSPECT * typical) | ~far)
+
+
+def _everywhere(samples: Samples, rows: IntArray, fit: Fit) -> tuple[FloatArray, FloatArray]:
+    """Residuals and their deviations at all points: without the point itself, whether it was fitted or not."""
+    out = np.setdiff1d(np.arange(len(samples)), rows)
+    residuals, deviations = np.empty_like(samples.y), np.empty(len(samples))
+    residuals[rows], deviations[rows] = fit.residuals, fit.deviations
+    values = evaluation.evaluate(samples.X[out], samples.X[rows], fit.spreads, fit.coefficients) + fit.bias
+    residuals[out] = samples.y[out] - values
+    dense = Dense(fit.kernel.gram(samples.X[rows]), samples.weights[rows], fit.smoothing)
+    variance = dense.posterior_variance(fit.kernel.gram(samples.X[rows], samples.X[out]))
+    deviations[out] = np.sqrt(fit.variance * (variance + fit.smoothing / samples.weights[out]))
+    return residuals, deviations
+
+
+def _likelihood(fit: Fit) -> float:
+    return float(fit.scored.restricted[int(np.argmin(fit.scored.scores))]) + 0.5 * len(fit.residuals) * float(
+        np.log(2 * np.pi) + 1
+    )
