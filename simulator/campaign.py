@@ -1,0 +1,307 @@
+"""A campaign: which surfaces, features, wire settings, channels, methods and seeds are tried against each other.
+
+A campaign is described by a small TOML file. It expands to *trials*: one transmission each, whose harmed features all
+methods share. Everything here is data; `simulator.trial` runs one trial, `simulator.runner` runs them all.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, TypeAlias
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from common.channel import Channel
+from common.errors import ChannelError, NotFoundError, ParameterError
+from common.wire import WireOptions
+from sender.surfaces import find_surface
+from simulator.methods import parse_method
+
+Axis: TypeAlias = Annotated[str, Field(min_length=1, max_length=40)]
+"""What the levels of a channel mean; `simulator.report` knows how to draw noise, loss, ber and ebn0_db."""
+
+MAX_TRIALS = 1_000_000
+"""A campaign beyond this is a slip of the pen: at 10 ms a trial it would take three hours a core."""
+
+
+class Settings(BaseModel):
+    """Frozen, and unknown keys are refused: a misspelt key must not silently mean its default."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class SurfaceChoice(Settings):
+    """A surface by name, or the points of a file.
+
+    The truth of a named surface is its formula or grid. The truth of a file is the piecewise linear surface through
+    *all* of its points, so a file should be sampled more densely than its features.
+    """
+
+    name: str | None = None
+    file: Path | None = Field(default=None, exclude=True)
+    columns: tuple[str, str, str] | None = None
+    content: str | None = Field(default=None, description="digest of the file, filled in when it is read")
+
+    @model_validator(mode="after")
+    def _one_of(self) -> Self:
+        if (self.name is None) == (self.file is None):
+            raise ValueError("give either name (of a surface) or file (of points)")
+        if self.columns is not None and self.file is None:
+            raise ValueError("columns belongs to a file")
+        if self.name is not None:
+            try:
+                find_surface(self.name)
+            except NotFoundError as error:
+                raise ValueError(str(error)) from error
+        return self
+
+    @property
+    def label(self) -> str:
+        """Name in the table."""
+        return self.file.name if self.file is not None else str(self.name)
+
+
+class FeatureSettings(Settings):
+    """How the cloud is sampled and its features are chosen; what is left out is the surface's own setting.
+
+    At most one of `gap` (side of a piece), `pieces` (pieces along the longer side of the region) and `budget` (the
+    finest pieces whose packets, protection included, fit into that many bytes).
+    """
+
+    points: int | None = Field(default=None, ge=3, le=10_000_000)
+    kind: Literal["extrema", "cloud"] = "extrema"
+    gap: float | None = Field(default=None, gt=0)
+    pieces: int | None = Field(default=None, ge=1, le=4000)
+    budget: int | None = Field(default=None, ge=64)
+
+    @model_validator(mode="after")
+    def _one_measure(self) -> Self:
+        if sum(value is not None for value in (self.gap, self.pieces, self.budget)) > 1:
+            raise ValueError("give at most one of gap, pieces and budget")
+        return self
+
+    @property
+    def label(self) -> str:
+        """What is sent, as the table says it: "features" and what is not the surface's own setting."""
+        given = self.model_dump(exclude_defaults=True)
+        return " ".join(["features", *(f"{name}={value}" for name, value in given.items())])
+
+
+class ChannelSweep(Settings):
+    """A channel, or one channel for each of several levels.
+
+    `spec` is a channel in its short form; ``{level}`` in it stands for the level, ``{z}`` for the level times the
+    range of the surface's heights, ``{noise}`` for the level times the noise amplitude the surface is usually tried
+    with.
+    """
+
+    spec: str
+    axis: Axis = "channel"
+    levels: tuple[float, ...] = Field(default=(), max_length=1000)
+
+    @model_validator(mode="after")
+    def _builds(self) -> Self:
+        if ("{" in self.spec) != bool(self.levels):
+            raise ValueError("levels and a {level}, {z} or {noise} in spec go together")
+        for level in self.levels or (0.0,):
+            try:
+                text = self.at(level, extent=1.0, noise=1.0)
+            except (KeyError, IndexError, ValueError) as error:
+                raise ValueError(f"{self.spec!r}: accepted in braces are {{level}}, {{z}}, {{noise}}") from error
+            try:
+                Channel.parse(text)
+            except ChannelError as error:
+                raise ValueError(str(error)) from error
+        return self
+
+    def at(self, level: float, *, extent: float, noise: float) -> str:
+        """The short form at one level, for a surface of that range of z and that usual noise."""
+        return self.spec.format(level=repr(level), z=repr(level * extent), noise=repr(level * noise))
+
+
+def _as_table(key: str) -> BeforeValidator:
+    def convert(value: object) -> object:
+        return {key: value} if isinstance(value, str) else value
+
+    return BeforeValidator(convert)
+
+
+class Trial(Settings):
+    """One transmission and all that is needed to redo it."""
+
+    campaign: str
+    surface: SurfaceChoice
+    features: FeatureSettings
+    wire: WireOptions
+    rounds: int
+    channel: ChannelSweep
+    level: float | None
+    methods: tuple[str, ...]
+    grid: tuple[int, int]
+    seed: int
+    sample: int
+
+    @property
+    def key(self) -> str:
+        """A digest of everything that determines the outcome."""
+        return _digest(self.model_dump_json())
+
+    @property
+    def digest(self) -> str:
+        """Stands for what is sent (surface, features, wire, rounds), not for what befalls it on the way."""
+        return _digest(self.model_dump_json(include={"surface", "features", "wire", "rounds"}))[:8]
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+
+class Campaign(Settings):
+    """A full factorial plan; every list is one factor.
+
+    Parameters
+    ----------
+    surfaces : names of surfaces, or tables with `name` or `file`.
+    features, wire : tables; left out, each surface's own settings and the wire's defaults.
+    channels : channels in short form, or tables with `spec`, `axis` and `levels`.
+    methods : names of reconstructions, see `simulator.methods`.
+    seeds : how many samples of each surface, numbered from 0.
+    seed : the campaign's own seed, from which every random draw follows.
+    grid : rows and columns of the grid the reconstruction is compared on.
+    rounds : transmissions of what the receipt says is missing, the first included.
+    name, title, lead, notes : words of the report. A note explains why the network does not win on a surface; its key
+        is the surface's name, or "surface axis level" for a single cell.
+    """
+
+    name: str = Field(default="campaign", pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")
+    title: str = Field(default="", max_length=200)
+    lead: str = Field(default="", max_length=4000)
+    notes: Mapping[str, str] = Field(default={})
+    surfaces: tuple[Annotated[SurfaceChoice, _as_table("name")], ...] = Field(min_length=1)
+    features: tuple[FeatureSettings, ...] = Field(default=(FeatureSettings(),), min_length=1)
+    wire: tuple[WireOptions, ...] = Field(default=(WireOptions(),), min_length=1)
+    channels: tuple[Annotated[ChannelSweep, _as_table("spec")], ...] = Field(min_length=1)
+    methods: tuple[str, ...] = Field(default=("network",), min_length=1)
+    seeds: int = Field(default=10, ge=1, le=100_000)
+    seed: int = Field(default=0, ge=0, lt=2**63)
+    grid: tuple[int, int] = (64, 64)
+    rounds: int = Field(default=1, ge=1, le=100)
+
+    @field_validator("grid")
+    @classmethod
+    def _bounded(cls, grid: tuple[int, int]) -> tuple[int, int]:
+        if not all(2 <= side <= 4096 for side in grid):
+            raise ValueError("rows and columns must each be 2 to 4096")
+        return grid
+
+    @field_validator("methods")
+    @classmethod
+    def _known(cls, methods: tuple[str, ...]) -> tuple[str, ...]:
+        for method in methods:
+            try:
+                parse_method(method)
+            except ParameterError as error:
+                raise ValueError(str(error)) from error
+        if len(set(methods)) < len(methods):
+            raise ValueError("a method stands twice")
+        return methods
+
+    @model_validator(mode="after")
+    def _bounded_size(self) -> Self:
+        if self.size > MAX_TRIALS:
+            raise ValueError(f"{self.size} trials; at most {MAX_TRIALS} are accepted")
+        return self
+
+    @property
+    def size(self) -> int:
+        """Number of trials."""
+        levels = sum(max(1, len(channel.levels)) for channel in self.channels)
+        return len(self.surfaces) * len(self.features) * len(self.wire) * levels * self.seeds
+
+    def trials(self) -> list[Trial]:
+        """Every combination, in an order that does not depend on anything but the campaign."""
+        return [
+            Trial(
+                campaign=self.name,
+                surface=surface,
+                features=features,
+                wire=wire,
+                rounds=self.rounds,
+                channel=channel,
+                level=level,
+                methods=self.methods,
+                grid=self.grid,
+                seed=self.seed,
+                sample=sample,
+            )
+            for surface in self.surfaces
+            for features in self.features
+            for wire in self.wire
+            for channel in self.channels
+            for level in channel.levels or (None,)
+            for sample in range(self.seeds)
+        ]
+
+    @classmethod
+    def load(cls, path: Path, overrides: Mapping[str, Any] | None = None) -> Self:
+        """The campaign in a TOML file; paths of files in it are relative to it.
+
+        Raises
+        ------
+        ParameterError
+            If the file cannot be read, is not TOML, or a key is unknown or out of bounds; one line that names the
+            key and says what is accepted.
+        """
+        try:
+            plan = tomllib.loads(path.read_text("utf-8"))
+        except OSError as error:
+            raise ParameterError(f"cannot read {path}: {error.strerror or error}") from error
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise ParameterError(f"{path} is not a TOML file: {error}") from error
+        return cls.build(plan | dict(overrides or {}), source=path.name, folder=path.parent)
+
+    @classmethod
+    def build(cls, plan: Mapping[str, Any], *, source: str = "campaign", folder: Path = Path()) -> Self:
+        """The campaign of a table of settings, files relative to `folder`; raises ParameterError as `load` does."""
+        try:
+            campaign = cls.model_validate(dict(plan))
+        except ValidationError as error:
+            raise ParameterError(f"{source}: {_first_problem(error)}") from error
+        return campaign.model_copy(update={"surfaces": tuple(_read(choice, folder) for choice in campaign.surfaces)})
+
+
+def _read(choice: SurfaceChoice, folder: Path) -> SurfaceChoice:
+    """A file is known by its contents: moved, it gives the same trials; changed, others."""
+    if choice.file is None:
+        return choice
+    path = folder / choice.file
+    try:
+        content = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    except OSError as error:
+        raise ParameterError(f"surfaces: cannot read {path}: {error.strerror or error}") from error
+    return choice.model_copy(update={"file": path, "content": content})
+
+
+_TABLES: Mapping[str, type[BaseModel]] = {
+    "surfaces": SurfaceChoice,
+    "features": FeatureSettings,
+    "wire": WireOptions,
+    "channels": ChannelSweep,
+}
+
+
+def _first_problem(error: ValidationError) -> str:
+    """The first problem as one line: the key, what is wrong with it, what is accepted."""
+    first = error.errors(include_url=False)[0]
+    path = [part for part in first["loc"] if not (isinstance(part, str) and part.startswith("function-"))]
+    where = ".".join(map(str, path)) or "the file"
+    message = " ".join(first["msg"].split()).removeprefix("Value error, ").removeprefix("Input ")
+    if first["type"] == "extra_forbidden":
+        table = _TABLES.get(str(path[0]), Campaign) if len(path) > 1 else Campaign
+        return f"{where} is not a key; accepted are {', '.join(table.model_fields)}"
+    if first["type"] == "missing":
+        return f"{where} is missing; it is needed"
+    return f"{where}: {message}"

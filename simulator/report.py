@@ -1,0 +1,451 @@
+"""The report of a campaign: one self-contained page of plots, each explained in a sentence.
+
+Lines are medians over the samples, bands reach from the lower to the upper quartile. A failed reconstruction counts
+as infinitely bad.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from types import MappingProxyType
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from simulator.page import (
+    DASHES,
+    MARKERS,
+    OKABE_ITO,
+    STYLE,
+    TableCell,
+    illustration,
+    page,
+    svg,
+    table,
+)
+from simulator.runner import Row
+from simulator.statistics import Spread, group, number, text
+
+NETWORK = "network"
+
+MAX_LINES = 8
+"""Lines in one plot that colour, dash and marker still tell apart."""
+
+
+@dataclass(frozen=True)
+class AxisLook:
+    """How an axis of channel levels is drawn."""
+
+    label: str
+    logarithmic: bool
+    percent: bool
+    sentence: str
+
+
+AXES: Mapping[str, AxisLook] = MappingProxyType(
+    {
+        "noise": AxisLook(
+            "noise in z, deviation over the range of z",
+            False,
+            True,
+            "Distortion against Gaussian noise in the heights of the features that arrive.",
+        ),
+        "loss": AxisLook("packets lost", False, True, "Distortion against the share of packets that never arrive."),
+        "ber": AxisLook(
+            "bit-error rate",
+            True,
+            False,
+            "Distortion against the share of bits that arrive wrong; what a checksum finds damaged is thrown away.",
+        ),
+        "ebn0_db": AxisLook(
+            "Eb/N0 (dB)",
+            False,
+            False,
+            "Distortion against the energy of a bit over the noise density; a poorer link is further to the left.",
+        ),
+    }
+)
+
+
+def look_of(axis: str) -> AxisLook:
+    """How to draw an axis; one that is not known is drawn plainly."""
+    return AXES.get(axis, AxisLook(axis, False, False, f"Distortion against {axis}."))
+
+
+class Lines:
+    """Names the line a row belongs to: its method, and what is sent where one method is given several things."""
+
+    def __init__(self, rows: Sequence[Row]) -> None:
+        given = {(row["method"], row["sends"], row["wire"]) for row in rows}
+        self._several = {
+            column: {method for method in {g[0] for g in given} if len({g[k] for g in given if g[0] == method}) > 1}
+            for k, column in ((1, "sends"), (2, "wire"))
+        }
+
+    def __call__(self, row: Row) -> str:
+        parts = [text(row, column) for column, methods in self._several.items() if row["method"] in methods]
+        return ", ".join([text(row, "method"), *parts])
+
+
+Curves = Mapping[str, Mapping[str, Sequence[tuple[float, Spread]]]]
+"""Surface -> line -> (level or other abscissa, distortion) in ascending order."""
+
+
+def curves(rows: Sequence[Row], abscissa: str) -> Curves:
+    """NRMSE against a column, per surface and line, over the samples."""
+    line_of = Lines(rows)
+    cells = group(
+        [row for row in rows if row[abscissa] is not None],
+        lambda row: (text(row, "surface"), line_of(row), number(row, abscissa)),
+    )
+    return _nested((key, Spread.of([row["nrmse"] for row in of])) for key, of in cells.items())
+
+
+def _nested(cells: Iterable[tuple[tuple[str, str, float], Spread]]) -> Curves:
+    nested: dict[str, dict[str, list[tuple[float, Spread]]]] = {}
+    for (surface, line, x), spread in cells:
+        nested.setdefault(surface, {}).setdefault(line, []).append((x, spread))
+    return {s: {line: sorted(points, key=lambda p: p[0]) for line, points in of.items()} for s, of in nested.items()}
+
+
+def _place(row: Row) -> tuple[str, str, float | None]:
+    return text(row, "surface"), text(row, "axis"), None if row["level"] is None else number(row, "level")
+
+
+def choose_lines(rows: Sequence[Row], most: int = MAX_LINES) -> list[str]:
+    """The lines worth drawing, the same in every plot: networks first, then the others by their mean rank."""
+    line_of = Lines(rows)
+    ranks: dict[str, list[float]] = {}
+    for of in group(rows, _place).values():
+        medians = {line: Spread.of([row["nrmse"] for row in its]).median for line, its in group(of, line_of).items()}
+        for line, median in medians.items():
+            ranks.setdefault(line, []).append(sum(other < median for other in medians.values()))
+    order = sorted(ranks, key=lambda name: (not name.startswith(NETWORK), float(np.mean(ranks[name])), name))
+    return order[:most]
+
+
+def _nice_name(surface: str) -> str:
+    return surface.replace("-", " ").capitalize()
+
+
+def draw_curves(all_curves: Curves, look: AxisLook, lines: Sequence[str]) -> Figure:
+    """Small multiples, one a surface: distortion against the level, a line a method."""
+    surfaces = list(all_curves)
+    columns = min(3, len(surfaces))
+    rows = math.ceil(len(surfaces) / columns)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(3.35 * columns + 0.5, 2.75 * rows + 0.75))
+        grid = figure.subplots(rows, columns, squeeze=False, sharex=True)
+        for k, axes in enumerate(grid.flat):
+            if k >= len(surfaces):
+                axes.set_visible(False)
+                continue
+            _draw_lines(axes, all_curves[surfaces[k]], look, lines)
+            axes.set_title(_nice_name(surfaces[k]))
+            if k % columns == 0:
+                axes.set_ylabel("NRMSE")
+            if k + columns >= len(surfaces):
+                axes.set_xlabel(look.label)
+                axes.tick_params(labelbottom=True)
+        shown: dict[str, Artist] = {}
+        for axes in grid.flat:
+            shown |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+        labels = [line for line in lines if line in shown]
+        handles = [shown[line] for line in labels]
+        figure.legend(handles, labels, loc="outside upper center", ncols=min(4, max(1, len(labels))), handlelength=3.2)
+    return figure
+
+
+def _line_style(k: int) -> dict[str, Any]:
+    return {
+        "color": OKABE_ITO[k % len(OKABE_ITO)],
+        "linestyle": DASHES[k % len(DASHES)],
+        "marker": MARKERS[k % len(MARKERS)],
+    }
+
+
+def _draw_lines(
+    axes: Axes, of: Mapping[str, Sequence[tuple[float, Spread]]], look: AxisLook, lines: Sequence[str]
+) -> None:
+    finite = [s.median for line in lines for _, s in of.get(line, ()) if math.isfinite(s.median)]
+    top = 1.6 * max(finite, default=1.0)
+    for k, line in enumerate(lines):
+        points = of.get(line)
+        if not points:
+            continue
+        x = np.array([level for level, _ in points])
+        median, low, high = (np.array([getattr(s, name) for _, s in points]) for name in ("median", "low", "high"))
+        style = _line_style(k)
+        own = line.startswith(NETWORK)
+        axes.plot(
+            x, np.where(np.isfinite(median), median, np.nan), label=line, zorder=5 if own else 3,
+            linewidth=2.3 if own else 1.3, markeredgecolor="white", markeredgewidth=0.5, **style,
+        )  # fmt: skip
+        axes.fill_between(x, np.minimum(low, top), np.minimum(high, top), color=style["color"], alpha=0.13, linewidth=0)
+        failed = ~np.isfinite(median)
+        if failed.any():
+            axes.plot(x[failed], np.full(int(failed.sum()), top), color=style["color"], marker="x", linestyle="none")
+    axes.set_yscale("log")
+    axes.set_ylim(top=top * 1.1)
+    bottom, top = axes.get_ylim()
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0,) if top > 30 * bottom else (1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    if look.logarithmic:
+        axes.set_xscale("log")
+    elif look.percent:
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:g} %"))
+
+
+def draw_time(rows: Sequence[Row], seconds: Sequence[float]) -> Figure:
+    """Seconds of a reconstruction against the points it was given, a line a method."""
+    cells: dict[str, dict[float, list[float]]] = {}
+    for row, taken in zip(rows, seconds, strict=True):
+        if row["failure"] is not None or row["features_received"] is None:
+            continue
+        method = text(row, "method")
+        given = number(row, "points" if method.endswith("@cloud") else "features_received")
+        # Losses scatter the number of points: binned to a third of an octave, a line stays a line.
+        size = 2 ** (round(3 * math.log2(given)) / 3)
+        cells.setdefault(method, {}).setdefault(size, []).append(taken)
+    methods = sorted(cells, key=lambda method: (not method.startswith(NETWORK), method))[:MAX_LINES]
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(6.4, 3.9))
+        axes = figure.subplots()
+        for k, method in enumerate(methods):
+            sizes = sorted(cells[method])
+            axes.plot(sizes, [float(np.median(cells[method][size])) for size in sizes], label=method, **_line_style(k))
+        axes.set(xscale="log", yscale="log", xlabel="points given to the method", ylabel="seconds, fit and grid")
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        figure.legend(loc="outside right upper", handlelength=3.2)
+    return figure
+
+
+# Who wins where
+
+
+@dataclass(frozen=True)
+class Contest:
+    """One cell of a campaign: a surface under a channel, every line's distortion."""
+
+    surface: str
+    axis: str
+    level: float | None
+    harmful: bool
+    distortion: Mapping[str, Spread]
+
+    @property
+    def winner(self) -> str:
+        """The line of lowest median."""
+        return min(self.distortion, key=lambda line: self.distortion[line].median)
+
+    @property
+    def lost_by_all(self) -> bool:
+        """Whether the median sample fails whatever the method: nothing arrived."""
+        return math.isinf(self.distortion[self.winner].median)
+
+    @property
+    def network(self) -> str:
+        """The network's best line, among those that have nothing but what arrived."""
+        return min((n for n in self.distortion if n.startswith(NETWORK)), key=lambda n: self.distortion[n].median)
+
+
+def contests(rows: Sequence[Row]) -> list[Contest]:
+    """Every (surface, channel), methods on the unharmed cloud left out."""
+    fair = [row for row in rows if not str(row["method"]).endswith("@cloud")]
+    line_of = Lines(fair)
+    found = []
+    for (surface, axis, level), of in group(fair, _place).items():
+        distortion = {line: Spread.of([row["nrmse"] for row in its]) for line, its in group(of, line_of).items()}
+        harmful = any(row["channel"] not in ("", "clean") for row in of) and level != 0
+        if any(name.startswith(NETWORK) for name in distortion):
+            found.append(Contest(surface, axis, level, harmful, distortion))
+    return found
+
+
+def _level(contest: Contest) -> str:
+    if contest.level is None:
+        return contest.axis
+    look = look_of(contest.axis)
+    value = f"{100 * contest.level:g} %" if look.percent else f"{contest.level:g}"
+    return f"{contest.axis} {value}"
+
+
+def contests_html(cells: Sequence[Contest], notes: Mapping[str, str]) -> str:
+    """The share of cells that the network wins, the cells that it does not, and why."""
+    nothing = [cell for cell in cells if cell.lost_by_all]
+    cells = [cell for cell in cells if not cell.lost_by_all]
+    harmful = [cell for cell in cells if cell.harmful]
+    lost = [cell for cell in cells if not cell.winner.startswith(NETWORK)]
+    won = sum(cell.winner.startswith(NETWORK) for cell in harmful)
+    share = (
+        f"{won} of {len(harmful)} cells with harm ({100 * won / len(harmful):.0f} %)" if harmful else "no cell has harm"
+    )
+    clean = [cell for cell in cells if not cell.harmful]
+    clean_won = sum(cell.winner.startswith(NETWORK) for cell in clean)
+    intro = f"<p class='lead'>The network has the lowest median NRMSE in <b>{share}</b>"
+    intro += f", and in {clean_won} of {len(clean)} without.</p>" if clean else ".</p>"
+    if nothing:
+        where = ", ".join(f"{_nice_name(cell.surface)} {_level(cell)}" for cell in nothing)
+        intro += f"<p>Not counted, since the median sample loses everything sent: {escape(where)}.</p>"
+    if not lost:
+        return intro
+    rows: list[list[TableCell | str]] = [
+        [
+            _nice_name(cell.surface),
+            _level(cell),
+            cell.winner,
+            f"{cell.distortion[cell.winner].median:.4f}",
+            f"{cell.distortion[cell.network].median:.4f}",
+            f"{cell.distortion[cell.network].median / cell.distortion[cell.winner].median:.2f}",
+            TableCell(escape(_why(cell, notes)), "wrap"),
+        ]
+        for cell in lost
+    ]
+    head = ["surface", "channel", "lowest", "its NRMSE", "network", "ratio", "why"]
+    return intro + table(head, rows, names=3, caption="The cells in which the network does not win.")
+
+
+def _why(cell: Contest, notes: Mapping[str, str]) -> str:
+    best, own = cell.distortion[cell.winner], cell.distortion[cell.network]
+    note = notes.get(f"{cell.surface} {cell.axis} {cell.level}", notes.get(cell.surface, ""))
+    close = own.low <= best.high and own.median < 1.1 * best.median
+    scatter = "Within the scatter between samples: the quartiles overlap." if close else ""
+    return " ".join(filter(None, [scatter, note])) or "No explanation is known."
+
+
+def ranking_html(cells: Sequence[Contest]) -> str:
+    """Every line of the campaign: cells won, and its NRMSE over the network's, by surface."""
+    cells = [cell for cell in cells if not cell.lost_by_all]
+    surfaces = list(dict.fromkeys(cell.surface for cell in cells))
+    names = list(dict.fromkeys(name for cell in cells for name in cell.distortion))
+
+    def ratio(name: str, of: Sequence[Contest]) -> float:
+        here = [cell for cell in of if name in cell.distortion]
+        values = [cell.distortion[name].median / cell.distortion[cell.network].median for cell in here]
+        return float(np.exp(np.mean(np.log(values)))) if values else math.nan
+
+    harmful = [cell for cell in cells if cell.harmful]
+    order = sorted(names, key=lambda name: (ratio(name, harmful), name))
+    rows = [
+        [
+            name,
+            str(sum(cell.winner == name for cell in harmful)),
+            _ratio(ratio(name, harmful)),
+            *(_ratio(ratio(name, [cell for cell in harmful if cell.surface == s])) for s in surfaces),
+        ]
+        for name in order
+    ]
+    return table(
+        ["method", "cells won", "all", *(_nice_name(s) for s in surfaces)],
+        rows,
+        caption="Cells with harm that each method wins, and its median NRMSE over the network's (geometric mean over "
+        "the cells; above 1 the network is better).",
+    )
+
+
+def _ratio(value: float) -> str:
+    return "fails" if math.isinf(value) else "" if math.isnan(value) else f"{value:.2f}"
+
+
+# The page
+
+
+@dataclass(frozen=True)
+class Words:
+    """What a person adds to the numbers: the title, what was tried, the command, and why a cell is lost."""
+
+    title: str
+    lead: str
+    command: str
+    notes: Mapping[str, str]
+
+
+def render(rows: Sequence[Row], words: Words, seconds: Sequence[float] | None = None) -> str:
+    """The page, as HTML.
+
+    Parameters
+    ----------
+    rows : rows of a campaign's table.
+    words : title, lead, command and notes.
+    seconds : time of each row, in the order of `rows`; without it, the plot of times is left out.
+    """
+    sent = [row for row in rows if not str(row["method"]).endswith("@cloud")]
+    parts = [f"<h1>{escape(words.title)}</h1>", f'<p class="lead">{escape(words.lead)}</p>', _tried(rows)]
+    parts.append(f"<pre>{escape(words.command)}</pre>")
+    cells = contests(rows)
+    if len({name for cell in cells for name in cell.distortion}) > 1:
+        parts += ["<h2>Who wins where</h2>", contests_html(cells, words.notes), ranking_html(cells)]
+    lines = choose_lines(sent)
+    for axis, of in group(sent, lambda row: row["axis"]).items():
+        of_axis = curves(of, "level")
+        if not any(len(points) > 1 for lines in of_axis.values() for points in lines.values()):
+            continue
+        look = look_of(str(axis))
+        parts += [f"<h2>Distortion against {escape(look.label)}</h2>", _curves_html(of_axis, look, lines)]
+    parts += _bytes_html(sent)
+    if seconds is not None:
+        parts += [
+            "<h2>Time against points</h2>",
+            illustration(
+                svg(draw_time(rows, seconds)),
+                "Median time of one reconstruction, fit and evaluation on the grid, with one BLAS thread and as many "
+                "processes side by side as the campaign had workers.",
+            ),
+        ]
+    return page(words.title, "\n".join(parts))
+
+
+def _curves_html(of_axis: Curves, look: AxisLook, lines: Sequence[str]) -> str:
+    left_out = len({line for of in of_axis.values() for line in of} - set(lines))
+    more = f" The {left_out} lines of highest mean rank are left out; the table above has them all." if left_out else ""
+    caption = (
+        f"{look.sentence} Medians over the samples, bands from quartile to quartile, a cross at the top edge where the "
+        f"median sample fails.{more}"
+    )
+    return illustration(svg(draw_curves(of_axis, look, lines)), escape(caption))
+
+
+def _bytes_html(rows: Sequence[Row]) -> list[str]:
+    clean = [row for row in rows if row["channel"] in ("", "clean") or row["level"] == 0]
+    cells = group(clean, lambda row: (text(row, "surface"), row["wire"], row["sends"], text(row, "method")))
+    sized = _nested(
+        (
+            (surface, method, float(np.median([number(row, "bytes") for row in of]))),
+            Spread.of([row["nrmse"] for row in of]),
+        )
+        for (surface, _, _, method), of in cells.items()
+    )
+    if not any(len(points) > 1 for of in sized.values() for points in of.values()):
+        return []
+    sentence = "Distortion against the bytes sent, all overhead counted, on a clean channel."
+    look = AxisLook("bytes on the air", True, False, sentence)
+    methods = list(dict.fromkeys(line.partition(", ")[0] for line in choose_lines(clean, most=10**6)))[:MAX_LINES]
+    return ["<h2>Distortion against bytes</h2>", _curves_html(sized, look, methods)]
+
+
+def _median(rows: Sequence[Row], column: str) -> float:
+    return float(np.median([number(row, column) for row in rows]))
+
+
+def _tried(rows: Sequence[Row]) -> str:
+    def distinct(name: str) -> list[str]:
+        return list(dict.fromkeys(text(row, name) for row in rows))
+
+    samples = len(distinct("sample"))
+    failures = sum(row["failure"] is not None for row in rows)
+    return (
+        f"<p>{len(rows)} reconstructions: {', '.join(map(escape, distinct('surface')))}; {samples} samples of each; "
+        f"{len(distinct('channel'))} channels; {len(distinct('method'))} methods; compared on a grid of "
+        f"{' and '.join(f'{r} x {c}' for r, c in dict.fromkeys((row['rows'], row['columns']) for row in rows))}. "
+        f"{failures or 'None'} of them failed.</p>"
+    )

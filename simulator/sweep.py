@@ -1,0 +1,185 @@
+"""`simulate sweep`: a campaign from a file or from options, run in worker processes, stopped and resumed at will."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import shlex
+import sys
+from collections.abc import Callable, Mapping
+from functools import cache
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+
+import common
+import sender
+import simulator
+from simulator import report
+from simulator.campaign import Campaign
+from simulator.progress import progress_bar
+from simulator.runner import Journal, Progress, Result, Row, Run, silent
+from simulator.table import to_csv, write_parquet
+from simulator.trial import run_trial
+
+PRESENTATION = frozenset(
+    ("report.py", "paper.py", "page.py", "progress.py", "sweep.py", "statistics.py", "table.py", "__main__.py")
+)
+"""Modules of the simulator that no row depends on."""
+
+
+@cache
+def code_digest() -> str:
+    """Stands for the code that rows depend on: cells that other code has finished are run again."""
+    digest = hashlib.sha256()
+    for package in (common, sender, simulator):
+        root = Path(package.__path__[0])
+        for path in sorted(root.rglob("*.py")):
+            if package is not simulator or path.name not in PRESENTATION:
+                digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    for library in ("numpy", "scipy"):
+        digest.update(version(library).encode())
+    return digest.hexdigest()[:8]
+
+
+def run_campaign(
+    campaign: Campaign,
+    out: Path,
+    *,
+    workers: int,
+    progress: Progress = silent,
+    command: str = "simulate sweep",
+    work: Callable[..., Result] = run_trial,
+) -> list[Row]:
+    """Run what the journal in `out` does not hold, then write the table, the times and the report.
+
+    ``journal.jsonl`` finished trials; ``table.csv`` (and ``table.parquet`` where pyarrow is installed) the rows;
+    ``seconds.csv`` what each took; ``report.html``; ``environment.json`` what it ran on.
+    """
+    trials = campaign.trials()
+    with Journal(out / "journal.jsonl") as journal:
+        results = Run(trials, work, workers, stamp=code_digest()).collect(journal, progress=progress)
+    rows = [row for result in results for row in result.rows]
+    seconds = [value for result in results for value in result.seconds]
+    (out / "table.csv").write_text(to_csv(rows), "utf-8")
+    if find_spec("pyarrow") is not None:
+        write_parquet(rows, out / "table.parquet")
+    (out / "seconds.csv").write_text("".join(["seconds\n", *(f"{value:.6f}\n" for value in seconds)]), "utf-8")
+    (out / "environment.json").write_text(json.dumps(environment(workers), indent=1) + "\n", "utf-8")
+    words = report.Words(campaign.title or campaign.name, campaign.lead, command, campaign.notes)
+    (out / "report.html").write_text(report.render(rows, words, seconds), "utf-8")
+    return rows
+
+
+def environment(workers: int) -> Mapping[str, str | int | None]:
+    """What a campaign ran on."""
+    return {
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": version("scipy"),
+        "code": code_digest(),
+        "machine": platform.machine(),
+        "system": platform.system(),
+        "cores": os.cpu_count(),
+        "workers": workers,
+    }
+
+
+def plan_of_options(
+    *,
+    surface: list[str] | None,
+    channel: list[str] | None,
+    method: list[str] | None,
+    points: int | None,
+    gap: float | None,
+    pieces: int | None,
+    budget: int | None,
+    seeds: int | None,
+    seed: int | None,
+    grid: str | None,
+    rounds: int | None,
+) -> dict[str, Any]:
+    """The keys of a campaign that options give; a name that ends like a file is a file."""
+    plan: dict[str, Any] = {}
+    if surface:
+        plan["surfaces"] = [{"file": name} if Path(name).suffix and Path(name).exists() else name for name in surface]
+    features = {"points": points, "gap": gap, "pieces": pieces, "budget": budget}
+    given = {key: value for key, value in features.items() if value is not None}
+    if given:
+        plan["features"] = [given]
+    if grid is not None:
+        plan["grid"] = grid.replace("x", ",").split(",")
+    scalars = {"channels": channel or None, "methods": method or None, "seeds": seeds, "seed": seed, "rounds": rounds}
+    return plan | {key: value for key, value in scalars.items() if value is not None}
+
+
+DEFAULT_PLAN: Mapping[str, Any] = {
+    "surfaces": ["surface-1", "surface-2", "surface-3"],
+    "channels": ["clean", "gaussian:std=0.1,axes=z"],
+    "methods": ["network", "linear", "cubic"],
+}
+"""What `simulate sweep` without a file tries, where no option says otherwise."""
+
+
+def sweep_command(
+    campaign: Annotated[Path | None, typer.Argument(help="TOML file; options below go before what it says.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder of journal, table and report; by default the name.")] = None,
+    workers: Annotated[int | None, typer.Option(help="Processes; by default one a core.")] = None,
+    surface: Annotated[list[str] | None, typer.Option(help="Name of a surface, or a file; may be repeated.")] = None,
+    channel: Annotated[list[str] | None, typer.Option(help="A channel in short form; may be repeated.")] = None,
+    method: Annotated[list[str] | None, typer.Option(help="A reconstruction; may be repeated.")] = None,
+    points: Annotated[int | None, typer.Option(help="Points of the cloud.")] = None,
+    gap: Annotated[float | None, typer.Option(help="Segment gap.")] = None,
+    pieces: Annotated[int | None, typer.Option(help="Pieces along the longer side.")] = None,
+    budget: Annotated[int | None, typer.Option(help="Bytes; the finest pieces that fit.")] = None,
+    seeds: Annotated[int | None, typer.Option(help="Samples of each surface.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the campaign.")] = None,
+    grid: Annotated[str | None, typer.Option(help="Grid of the comparison, for example 64x64.")] = None,
+    rounds: Annotated[int | None, typer.Option(help="Transmissions of what is missing, the first included.")] = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Forget what had finished.")] = False,
+) -> None:
+    """Run a campaign: surfaces x features x channels x methods x seeds; run again to go on where it stopped."""
+    overrides = plan_of_options(
+        surface=surface,
+        channel=channel,
+        method=method,
+        points=points,
+        gap=gap,
+        pieces=pieces,
+        budget=budget,
+        seeds=seeds,
+        seed=seed,
+        grid=grid,
+        rounds=rounds,
+    )
+    if campaign is None:
+        plan = Campaign.build({**DEFAULT_PLAN, **overrides}, source="options")
+    else:
+        plan = Campaign.load(campaign, overrides)
+    folder = out or Path(plan.name)
+    console = Console(stderr=True)
+    if fresh:
+        (folder / "journal.jsonl").unlink(missing_ok=True)
+    try:
+        with progress_bar(console, plan.name) as progress:
+            rows = run_campaign(
+                plan,
+                folder,
+                workers=workers or os.cpu_count() or 1,
+                progress=progress,
+                command=shlex.join(["simulate", *sys.argv[1:]]),
+            )
+    except KeyboardInterrupt:
+        console.print(f"stopped; finished cells are kept in {folder}, the same command goes on", highlight=False)
+        raise typer.Exit(130) from None
+    failed = sum(row["failure"] is not None for row in rows)
+    console.print(f"{len(rows)} rows, {failed} failed reconstructions", highlight=False)
+    for name in ("table.csv", "report.html"):
+        console.print(str(folder / name), highlight=False, soft_wrap=True)

@@ -1,0 +1,91 @@
+"""The tidy table of a campaign: one row a reconstruction, one column a fact, as CSV or Parquet."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+from common.errors import FileFormatError, ParameterError
+from simulator.runner import Cell, Row
+
+COLUMNS: Mapping[str, type[str] | type[int] | type[float]] = MappingProxyType(
+    {
+        # what is needed to redo the row
+        "campaign": str,
+        "version": str,
+        "surface": str,
+        "points": int,
+        "sends": str,
+        "kind": str,
+        "gap": float,
+        "wire": str,
+        "rounds": int,
+        "axis": str,
+        "level": float,
+        "channel": str,
+        "seed": int,
+        "sample": int,
+        "transmission": str,
+        "rows": int,
+        "columns": int,
+        "method": str,
+        # what happened
+        "features": int,
+        "packets": int,
+        "bytes": int,
+        "packets_received": int,
+        "packets_damaged": int,
+        "features_received": int,
+        "z_range": float,
+        "rmse": float,
+        "nrmse": float,
+        "max_error": float,
+        "failure": str,
+    }
+)
+"""Column -> type. A value that does not apply is empty (None): `level` of a channel without levels, the errors of a
+row that has a `failure`."""
+
+
+def to_csv(rows: Iterable[Row]) -> str:
+    """The rows as CSV with a line of names; floats in the shortest form that reads back to the same bits."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def from_csv(path: Path) -> list[dict[str, Cell]]:
+    """The rows of a table written by `to_csv`; raises FileFormatError where it is not one."""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            if tuple(reader.fieldnames or ()) != tuple(COLUMNS):
+                raise FileFormatError(
+                    f"{path} is not a table of a campaign: its first line must name {', '.join(COLUMNS)}"
+                )
+            return [
+                {name: None if row[name] == "" else kind(row[name]) for name, kind in COLUMNS.items()} for row in reader
+            ]
+    except OSError as error:
+        raise FileFormatError(f"cannot read {path}: {error.strerror or error}") from error
+    except (ValueError, TypeError, csv.Error) as error:
+        if isinstance(error, FileFormatError):
+            raise
+        raise FileFormatError(f"{path} is not a table of a campaign: {error}") from error
+
+
+def write_parquet(rows: Iterable[Row], path: Path) -> None:
+    """The rows as Parquet; raises ParameterError where pyarrow (the extra ``parquet``) is not installed."""
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError as error:
+        raise ParameterError("Parquet needs pyarrow: pip install 'surfacelink[parquet]'") from error
+    kinds = {str: pyarrow.string(), int: pyarrow.int64(), float: pyarrow.float64()}
+    schema = pyarrow.schema([(name, kinds[kind]) for name, kind in COLUMNS.items()])
+    pyarrow.parquet.write_table(pyarrow.Table.from_pylist([dict(row) for row in rows], schema), path)

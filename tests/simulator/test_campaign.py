@@ -1,0 +1,265 @@
+"""Campaign files, trials and the table: repeatable, independent of workers, clear about mistakes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from common.errors import FileFormatError, ParameterError
+from simulator.campaign import Campaign, Trial
+from simulator.runner import Cell, Run
+from simulator.sweep import code_digest, plan_of_options, run_campaign
+from simulator.table import COLUMNS, from_csv, to_csv, write_parquet
+from simulator.trial import run_trial
+
+PLAN: dict[str, Any] = {
+    "name": "small",
+    "surfaces": ["surface-1", "surface-3"],
+    "channels": [{"spec": "gaussian:std={z},axes=z", "axis": "noise", "levels": [0.02, 0.1]}],
+    "methods": ["network", "linear", "cubic@cloud"],
+    "seeds": 2,
+    "grid": [12, 14],
+}
+
+
+def campaign(**changes: object) -> Campaign:
+    return Campaign.build(PLAN | changes)
+
+
+def rows_of(plan: Campaign) -> list[dict[str, Cell]]:
+    return [dict(row) for trial in plan.trials() for row in run_trial(trial).rows]
+
+
+def test_every_combination_once() -> None:
+    plan = campaign(features=[{"pieces": 4}, {"pieces": 6}], wire=[{}, {"precision": "float64"}])
+    trials = plan.trials()
+    assert len(trials) == plan.size == 2 * 2 * 2 * 2 * 2
+    assert len({trial.key for trial in trials}) == len(trials)
+
+
+def test_a_row_has_the_columns_of_the_table_and_is_redone_from_them() -> None:
+    rows = rows_of(campaign(seeds=1))
+    assert all(set(row) == set(COLUMNS) for row in rows)
+    again = campaign(seeds=1, methods=["linear"])
+    first = next(row for row in rows if row["method"] == "linear")
+    assert rows_of(again)[0] == first
+
+
+def test_the_table_is_the_same_for_one_worker_and_two_and_after_an_interruption(tmp_path: Path) -> None:
+    plan = campaign(surfaces=["surface-1"])
+    run_campaign(plan, tmp_path / "one", workers=1)
+    run_campaign(plan, tmp_path / "two", workers=2)
+
+    def stop(done: int, total: int) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_campaign(plan, tmp_path / "cut", workers=2, progress=stop)
+    seen: list[int] = []
+    run_campaign(plan, tmp_path / "cut", workers=1, progress=lambda done, total: seen.append(done))
+    assert seen[0] >= 2
+    tables = {(tmp_path / name / "table.csv").read_bytes() for name in ("one", "two", "cut")}
+    assert len(tables) == 1
+
+
+def test_a_finished_campaign_runs_nothing_again(tmp_path: Path) -> None:
+    plan = campaign(surfaces=["surface-1"], seeds=1, methods=["linear"])
+    run_campaign(plan, tmp_path, workers=1)
+    seen: list[tuple[int, int]] = []
+    run_campaign(plan, tmp_path, workers=1, progress=lambda *now: seen.append(now))
+    assert seen == [(2, 2)]
+
+
+def test_all_methods_share_one_cloud_and_one_harm() -> None:
+    for trial in campaign(seeds=1).trials():
+        shared = [
+            {k: v for k, v in row.items() if k not in {"method", "rmse", "nrmse", "max_error"}}
+            for row in run_trial(trial).rows
+        ]
+        assert all(row == shared[0] for row in shared)
+
+
+def test_channels_are_compared_on_the_same_clouds() -> None:
+    by_level = {row["level"]: row for row in rows_of(campaign(seeds=1)) if row["method"] == "cubic@cloud"}
+    assert by_level[0.02]["nrmse"] == by_level[0.1]["nrmse"]
+    assert by_level[0.02]["transmission"] == by_level[0.1]["transmission"]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"seed": 1},
+        {"grid": [13, 14]},
+        {"features": [{"points": 150}]},
+        {"features": [{"gap": 0.5}]},
+        {"features": [{"pieces": 7}]},
+        {"features": [{"budget": 150}]},
+        {"features": [{"kind": "cloud"}]},
+        {"wire": [{"precision": 8}]},
+        {"channels": [{"spec": "gaussian:std={z},axes=z", "axis": "noise", "levels": [0.03]}]},
+        {"channels": [{"spec": "gaussian:std={noise},axes=z", "axis": "noise", "levels": [0.02]}]},
+        {"channels": [{"spec": "gaussian:std={level},axes=z", "axis": "noise", "levels": [0.02]}]},
+        {"methods": ["network[smoothing=0]"]},
+        {"methods": ["network@cloud"]},
+    ],
+    ids=str,
+)
+def test_every_setting_changes_the_outcome(change: dict[str, object]) -> None:
+    base = PLAN | {"surfaces": ["surface-1"], "seeds": 1, "methods": ["network"]}
+    before, after = (rows_of(Campaign.build(plan))[0]["nrmse"] for plan in (base, base | change))
+    assert before != after
+
+
+def test_rounds_send_again_what_was_lost() -> None:
+    lossy = {
+        "surfaces": ["surface-1"],
+        "channels": ["erasure:p=0.5"],
+        "wire": [{"min_packets": 10}],
+        "methods": ["linear"],
+        "seeds": 1,
+    }
+    once, often = (rows_of(campaign(**lossy, rounds=rounds))[0] for rounds in (1, 20))
+    assert int(once["features_received"] or 0) < int(once["features"] or 0) == often["features_received"]
+    assert int(often["bytes"] or 0) > int(once["bytes"] or 0)
+
+
+def test_what_never_arrives_is_a_failure_of_every_method_that_needs_it() -> None:
+    rows = rows_of(campaign(surfaces=["surface-1"], channels=["erasure:p=1"], seeds=1))
+    by_method = {row["method"]: row for row in rows}
+    assert by_method["linear"]["failure"] == "NotReadyError: nothing arrived"
+    assert by_method["linear"]["nrmse"] is None
+    assert by_method["cubic@cloud"]["failure"] is None
+
+
+def test_the_budget_holds_and_is_used() -> None:
+    plan = campaign(surfaces=["peaks"], features=[{"budget": 700}], channels=["clean"], seeds=2, methods=["linear"])
+    for row in rows_of(plan):
+        assert 0.6 * 700 < int(row["bytes"] or 0) <= 700
+
+
+def test_a_budget_nothing_fits_into_is_a_clear_error() -> None:
+    with pytest.raises(ParameterError, match="64 bytes"):
+        rows_of(campaign(surfaces=["surface-1"], features=[{"budget": 64, "kind": "cloud"}], seeds=1))
+
+
+def test_a_file_is_a_surface_known_by_its_contents(tmp_path: Path) -> None:
+    x, y = np.meshgrid(np.linspace(0, 1, 30), np.linspace(0, 2, 30))
+    cloud = np.column_stack([x.ravel(), y.ravel(), (x + 2 * y).ravel()])
+    plan = PLAN | {"features": [{"pieces": 5}], "channels": ["clean"], "methods": ["thin_plate"], "seeds": 1}
+    found = []
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        np.savetxt(tmp_path / folder / "plane.csv", cloud, delimiter=",")
+        file = plan | {"surfaces": [{"file": "plane.csv"}]}
+        found.append(rows_of(Campaign.build(file, folder=tmp_path / folder))[0])
+    assert found[0] == found[1]
+    assert found[0]["surface"] == "plane.csv"
+    assert float(found[0]["nrmse"] or 1) < 1e-3  # a plane, quantised to 16 bits
+
+
+def test_a_file_needs_a_size_of_pieces(tmp_path: Path) -> None:
+    (tmp_path / "f.csv").write_text("0,0,0\n1,0,1\n0,1,2\n1,1,3\n")
+    with pytest.raises(ParameterError, match="gap, pieces or budget"):
+        rows_of(Campaign.build(PLAN | {"surfaces": [{"file": "f.csv"}]}, folder=tmp_path))
+
+
+HEAD = "surfaces = ['peaks']\n"
+CLEAN = HEAD + "channels = ['clean']\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("surfaces = ['surface-1'\n", "not a TOML file"),
+        (HEAD, "channels is missing"),
+        ("surfaces = []\nchannels = ['clean']\n", "surfaces: "),
+        ("surfaces = ['sphere']\nchannels = ['clean']\n", "no surface is called 'sphere'.*known are surface-1"),
+        ("surfaces = [{name = 'peaks', file = 'x'}]\nchannels = ['clean']\n", "surfaces.0: give either"),
+        ("surfaces = [{file = 'none.csv'}]\nchannels = ['clean']\n", "cannot read .*none.csv"),
+        (CLEAN + "seed = -1\n", "seed: .*greater than or equal to 0"),
+        (CLEAN + "method = ['linear']\n", "method is not a key; accepted are .*methods"),
+        (CLEAN + "methods = ['linaer']\n", "'linaer' is not a method; accepted are"),
+        (CLEAN + "methods = ['linear', 'linear']\n", "stands twice"),
+        (CLEAN + "methods = ['network[spraed=1]']\n", "spraed.*accepted are spread"),
+        (CLEAN + "methods = ['linear[spread=1]']\n", "only network takes settings"),
+        (HEAD + "channels = ['fog:p=1']\n", "channels.0: .*fog"),
+        (HEAD + "channels = [{spec = 'erasure:p={level}'}]\n", "levels and a {level}"),
+        (HEAD + "channels = [{spec = 'erasure:p=0.1', levels = [1.0]}]\n", "levels and a {level}"),
+        (HEAD + "channels = [{spec = 'erasure:p={level}', levels = [2.0]}]\n", "channels.0: .*p"),
+        (HEAD + "channels = [{spec = 'erasure:p={level}{x}', levels = [1.0]}]\n", "accepted in braces"),
+        (HEAD + "channels = [{spec = 'erasure:p={level', levels = [1.0]}]\n", "channels.0: .*accepted in braces"),
+        (CLEAN + "[[features]]\ngap = 1\npieces = 2\n", "features.0: give at most one"),
+        (CLEAN + "[[features]]\ngpa = 1\n", "features.0.gpa is not a key; accepted are .*gap"),
+        (CLEAN + "[[wire]]\ndatagram = 7\n", "wire.0.datagram: "),
+        (CLEAN + "grid = [1, 5]\n", "grid: .*2 to 4096"),
+        (CLEAN + "name = '../up'\n", "name: "),
+    ],
+)
+def test_a_mistake_is_one_line_that_names_the_key(tmp_path: Path, text: str, named: str) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text(text)
+    with pytest.raises(ParameterError, match=named) as caught:
+        Campaign.load(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_campaign_that_is_too_large_is_refused() -> None:
+    with pytest.raises(ParameterError, match="at most 1000000"):
+        campaign(seeds=100_000, surfaces=["peaks"] * 10)
+
+
+def test_a_missing_file_is_one_clear_error(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="cannot read"):
+        Campaign.load(tmp_path / "none.toml")
+
+
+def test_options_go_before_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text("surfaces = ['peaks']\nchannels = ['clean']\nseeds = 3\n")
+    options = plan_of_options(
+        surface=["surface-1"], channel=None, method=["cubic"], points=None, gap=0.5, pieces=None, budget=None,
+        seeds=7, seed=None, grid="20x30", rounds=2,
+    )  # fmt: skip
+    plan = Campaign.load(path, options)
+    assert (plan.seeds, plan.grid, plan.rounds, plan.methods) == (7, (20, 30), 2, ("cubic",))
+    assert plan.surfaces[0].name == "surface-1"
+    assert plan.features[0].gap == 0.5
+    assert plan.channels[0].spec == "clean"
+
+
+def test_the_table_reads_back_to_the_bit(tmp_path: Path) -> None:
+    rows = rows_of(campaign(seeds=1, channels=["erasure:p=1", "clean"]))
+    path = tmp_path / "table.csv"
+    path.write_text(to_csv(rows))
+    assert from_csv(path) == rows
+    assert to_csv(from_csv(path)) == to_csv(rows)
+
+
+@pytest.mark.parametrize("text", ["", "a,b\n1,2\n", ",".join(COLUMNS) + "\n" + "x," * (len(COLUMNS) - 1) + "x\n"])
+def test_another_csv_is_no_table(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(text)
+    with pytest.raises(FileFormatError, match="not a table"):
+        from_csv(path)
+
+
+def test_parquet_holds_the_same_rows(tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet", reason="the extra parquet is not installed")
+    rows = rows_of(campaign(surfaces=["surface-1"], seeds=1))
+    write_parquet(rows, tmp_path / "t.parquet")
+    assert parquet.read_table(tmp_path / "t.parquet").to_pylist() == rows
+
+
+def test_the_code_digest_is_stable() -> None:
+    assert code_digest() == code_digest()
+    assert len(code_digest()) == 8
+
+
+def test_a_trial_survives_the_way_into_a_worker() -> None:
+    trial = campaign(seeds=1).trials()[0]
+    assert Trial.model_validate(trial.model_dump()) == trial
+    assert Run([trial], run_trial, 2).collect()[0].rows == run_trial(trial).rows

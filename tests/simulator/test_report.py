@@ -1,0 +1,142 @@
+"""The report: self-contained, says who wins, counts failures."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+
+import pytest
+
+from simulator import report
+from simulator.page import data_script, page, table
+from simulator.runner import Row
+from simulator.statistics import Spread
+from simulator.table import COLUMNS
+
+WORDS = report.Words("A <title>", "Lead & more.", "simulate sweep x.toml", {"peaks": "The note."})
+
+
+def row(**known: object) -> Row:
+    blank: dict[str, object] = dict.fromkeys(COLUMNS)
+    defaults = {"surface": "peaks", "sends": "features", "axis": "noise", "points": 100, "features_received": 50}
+    return blank | defaults | {"bytes": 300, "wire": "{}", "channel": "gaussian:std=1", "sample": 0} | known  # type: ignore[return-value]
+
+
+def rows(network: float = 0.1, linear: float = 0.2, axis: str = "noise") -> list[Row]:
+    return [
+        row(method=method, level=level, sample=sample, axis=axis, nrmse=base * (1 + level) + 0.001 * sample)
+        for method, base in (("network", network), ("linear", linear))
+        for level in (0.01, 0.1)
+        for sample in range(3)
+    ]
+
+
+class References(HTMLParser):
+    """Collects what a browser would load."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.loaded: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        for name, value in attrs:
+            if name in {"src", "href", "xlink:href", "srcset", "data", "action"} and value:
+                self.loaded.append(value)
+
+
+def outside(html: str) -> list[str]:
+    """References of a page that lead out of it."""
+    parser = References()
+    parser.feed(html)
+    styles = re.findall(r"url\(([^)]*)\)|@import\s+(\S+)", html)
+    found = [*parser.loaded, *(a or b for a, b in styles)]
+    return [value for value in found if not value.strip("'\"").startswith(("data:", "#"))]
+
+
+def test_the_page_loads_nothing() -> None:
+    html = report.render(rows(), WORDS, [0.01] * 12)
+    assert outside(html) == []
+    assert "http" not in re.sub(r'xmlns(:\w+)?="http://www.w3.org/[^"]*"', "", html)
+
+
+def test_the_same_rows_give_the_same_page() -> None:
+    assert report.render(rows(), WORDS) == report.render(rows(), WORDS)
+
+
+def test_words_are_escaped() -> None:
+    html = report.render(rows(), WORDS)
+    assert "A &lt;title&gt;" in html
+    assert "A <title>" not in html
+
+
+def test_the_share_of_cells_won_is_counted() -> None:
+    assert "2 of 2 cells with harm (100 %)" in report.render(rows(), WORDS)
+    lost = report.render(rows(network=0.3), WORDS)
+    assert "0 of 2 cells with harm (0 %)" in lost
+    assert "The note." in lost
+
+
+def test_a_clean_cell_does_not_count_as_harmed() -> None:
+    clean = [
+        row(method=m, level=0.0, axis="noise", nrmse=v, channel="clean") for m, v in (("network", 2), ("cubic", 1))
+    ]
+    assert "2 of 2 cells with harm (100 %)</b>, and in 0 of 1 without" in report.render([*rows(), *clean], WORDS)
+
+
+def test_a_method_on_the_clean_cloud_does_not_compete() -> None:
+    cheat = [row(method="cubic@cloud", level=level, nrmse=1e-9) for level in (0.01, 0.1)]
+    assert "2 of 2 cells" in report.render([*rows(), *cheat], WORDS)
+
+
+@pytest.mark.parametrize("axis", ["noise", "loss", "ber", "ebn0_db", "humidity"])
+def test_every_axis_is_drawn_and_explained(axis: str) -> None:
+    html = report.render(rows(axis=axis), WORDS)
+    assert report.look_of(axis).label in html
+    assert report.look_of(axis).sentence in html
+    assert html.count("<svg") == 1
+
+
+def test_bytes_and_times_are_drawn_where_they_are_known() -> None:
+    sized = [
+        row(method="network", sends=f"features budget={b}", level=0.0, bytes=b, nrmse=10 / b, channel="clean")
+        for b in (100, 1000)
+    ]
+    html = report.render(sized, WORDS, [0.1, 0.2])
+    assert "Distortion against bytes" in html
+    assert "Time against points" in html
+
+
+def test_what_fails_for_everyone_is_named_and_not_counted() -> None:
+    nothing = [
+        row(method=m, level=0.5, nrmse=None, failure="NotReadyError: nothing arrived") for m in ("network", "linear")
+    ]
+    html = report.render([*rows(), *nothing], WORDS)
+    assert "2 of 2 cells with harm" in html
+    assert "loses everything sent: Peaks noise 50 %" in html
+
+
+def test_a_failure_is_infinitely_bad() -> None:
+    assert Spread.of([1.0, None, 3.0]) == Spread(3.0, 1.0, float("inf"), 3, 1)
+    assert Spread.of([1.0, 2.0, None, None]).median == float("inf")
+    assert Spread.of([1.0, 3.0]).median == 2.0
+
+
+def test_a_line_names_what_is_sent_only_where_that_differs() -> None:
+    two = [row(method="network", sends=s) for s in ("features", "features budget=9")] + [row(method="zfp", sends="zfp")]
+    lines = report.Lines(two)
+    assert [lines(r) for r in two] == ["network, features", "network, features budget=9", "zfp"]
+
+
+def test_the_network_is_drawn_first_and_the_worst_are_left_out() -> None:
+    many = [row(method=f"m{k}", level=0.1, nrmse=0.01 * (k + 1)) for k in range(20)]
+    lines = report.choose_lines([*many, row(method="network", level=0.1, nrmse=9.0)])
+    assert lines == ["network", *(f"m{k}" for k in range(7))]
+
+
+def test_data_in_a_page_cannot_end_its_script() -> None:
+    assert "</script><" not in data_script("x", {"a": "</script><b>"})
+
+
+def test_tables_escape_text_and_pages_name_their_language() -> None:
+    assert "&lt;b&gt;" in table(["<b>"], [["<b>"]])
+    assert '<html lang="en">' in page("t", "")
