@@ -17,7 +17,9 @@ from rich.text import Text
 from common.errors import ParameterError, SurfacelinkError
 from sender.surfaces import find_surface
 from simulator.demo import DEMO_SURFACES, Trial, run_demo, steps, write_pictures
+from simulator.paper import paper_command
 from simulator.services import Services, running
+from simulator.sweep import sweep_command
 
 app = typer.Typer(
     name="simulate",
@@ -115,6 +117,10 @@ def _leave_running(services: Services, trials: list[Trial]) -> None:
         anyio.run(anyio.sleep_forever)
     except KeyboardInterrupt:
         console.print("stopped")
+
+
+app.command("paper")(paper_command)
+app.command("sweep")(sweep_command)
 
 
 def main() -> None:

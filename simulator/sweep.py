@@ -30,7 +30,8 @@ from simulator.table import to_csv, write_parquet
 from simulator.trial import run_trial
 
 PRESENTATION = frozenset(
-    ("report.py", "paper.py", "page.py", "progress.py", "sweep.py", "statistics.py", "table.py", "__main__.py")
+    f"{name}.py"
+    for name in ("__main__", "demo", "page", "paper", "pictures", "progress", "report", "statistics", "sweep", "table")
 )
 """Modules of the simulator that no row depends on."""
 
