@@ -18,6 +18,7 @@ from rich.text import Text
 
 from common.channel import Channel
 from common.errors import ParameterError, SurfacelinkError
+from common.problems import problem_of_fields
 from common.surface import Unit
 from common.wire import WireOptions
 from sender.app import create_app
@@ -50,9 +51,16 @@ def serve(
 ) -> None:
     """Run the service."""
     given: dict[str, Any] = {"host": host, "port": port, "receiver": receiver}
-    settings = Settings(**{name: value for name, value in given.items() if value is not None})
+    try:
+        settings = Settings(**{name: value for name, value in given.items() if value is not None})
+    except ValidationError as error:
+        raise ParameterError(problem_of_fields(error.errors()).detail) from error
     ReceiverClient.connect(settings.receiver)
-    uvicorn.run(create_app(settings), host=settings.host, port=settings.port, log_level="info")
+    config = uvicorn.Config(create_app(settings), host=settings.host, port=settings.port, log_level="warning")
+    listener = config.bind_socket()
+    console.print(f"sender    http://{settings.host}:{listener.getsockname()[1]}", highlight=False, soft_wrap=True)
+    console.print(f"receiver  {settings.receiver}", highlight=False, soft_wrap=True)
+    uvicorn.Server(config).run(sockets=[listener])
 
 
 @app.command()
@@ -90,6 +98,7 @@ def send(
     wait: Annotated[bool, typer.Option("--wait", help="Wait until the receiver has trained its network.")] = False,
 ) -> None:
     """Send a surface, or a file of points, to a receiver."""
+    harm = Channel.parse(channel, seed=channel_seed)
     wire: dict[str, Any] = {"datagram": datagram, "coding": coding}
     wire["precision"] = int(precision) if precision.isdigit() else precision
     path = Path(what)
@@ -114,7 +123,7 @@ def send(
         f"{prepared.id}: {prepared.cloud} points -> {len(prepared.features)} feature points -> "
         f"{len(prepared.packets)} packets, {sum(map(len, prepared.packets))} bytes"
     )
-    sent = anyio.run(_send, prepared, order, receiver, Channel.parse(channel, seed=channel_seed), wait)
+    sent = anyio.run(_send, prepared, order, receiver, harm, wait)
     counts = sent.receipt.packets
     total = "?" if counts.total is None else counts.total
     console.print(
@@ -137,8 +146,8 @@ def _order(**fields: Any) -> Order:
     try:
         return Order(**fields)
     except ValidationError as error:
-        said = "; ".join(f"{'.'.join(map(str, found['loc']))}: {found['msg']}" for found in error.errors())
-        raise ParameterError(said) from error
+        found = [{**each, "loc": ("option", *each["loc"])} for each in error.errors()]
+        raise ParameterError(problem_of_fields(found).detail) from error
 
 
 def main() -> None:

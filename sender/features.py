@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -12,6 +13,10 @@ from common.surface import FeatureSet, FloatArray, IntArray, Region, Units, as_p
 
 Repeated: TypeAlias = Literal["error", "mean", "min", "max"]
 """What to do with positions that carry more than one height."""
+
+EMPTY_PIECES = 100
+"""Pieces a point on average at most: beyond that nearly every piece is empty, every point a feature, and the gap a
+mistake."""
 
 COLLINEAR = 1e-10
 """Points whose extent across their main direction is below this share of that along it lie on one line: the square
@@ -124,7 +129,8 @@ def extract_features(
     PointsError
         If the points are not a surface (see `check_surface`, `merge_repeated`) or lie outside of `region`.
     ParameterError
-        If `gap` does not fit the region (see `Region.pieces`) or `kind` is unknown.
+        If `gap` does not fit the region (see `Region.pieces`), would leave nearly all pieces empty, or `kind` is
+        unknown.
     """
     points = merge_repeated(check_surface(points), repeated)
     if region is None:
@@ -146,6 +152,13 @@ def extract_features(
         raise ParameterError(f"kind {kind!r} cannot be extracted; accepted are extrema, cloud")
     if gap is None:
         raise ParameterError("the extrema of pieces need a segment gap")
+    rows, columns = region.pieces(gap)
+    if rows * columns > EMPTY_PIECES * len(points):
+        usual = math.sqrt(2 * region.width * region.height / len(points))
+        raise ParameterError(
+            f"segment gap {gap:g} cuts the region into {rows * columns:,} pieces for {len(points):,} points, nearly "
+            f"all of them empty; choose about {usual:.2g}, or at least {usual / math.sqrt(2 * EMPTY_PIECES):.2g}"
+        )
     piece = piece_of(points, region, gap)
     order = np.lexsort((points[:, 1], points[:, 0], points[:, 2], piece))
     first = np.flatnonzero(np.diff(piece[order], prepend=-1))

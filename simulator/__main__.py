@@ -9,15 +9,18 @@ from typing import Annotated
 
 import anyio
 import typer
+import uvicorn
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
+from common.channel import Channel
 from common.errors import ParameterError, SurfacelinkError
 from sender.surfaces import find_surface
 from simulator.demo import DEMO_SURFACES, Trial, run_demo, steps, write_pictures
 from simulator.paper import paper_command
+from simulator.proxy import create_proxy
 from simulator.services import Services, running
 from simulator.sweep import sweep_command
 
@@ -121,6 +124,17 @@ def _leave_running(services: Services, trials: list[Trial]) -> None:
 
 app.command("paper")(paper_command)
 app.command("sweep")(sweep_command)
+
+
+@app.command()
+def channel(
+    spec: Annotated[str, typer.Argument(help="The channel, for example gaussian:std=0.1,axes=xyz;erasure:p=0.05")],
+    upstream: Annotated[str, typer.Option(help="URL of the server behind the channel.")] = "http://127.0.0.1:8001",
+    port: Annotated[int, typer.Option(help="Port to listen on.")] = 8002,
+    seed: Annotated[int, typer.Option(help="Seed of the channel.")] = 0,
+) -> None:
+    """Put a channel between any client and any receiver; GET and PUT /v1/channel steer it."""
+    uvicorn.run(create_proxy(upstream, Channel.parse(spec, seed=seed)), host="127.0.0.1", port=port, log_level="info")
 
 
 def main() -> None:

@@ -85,7 +85,13 @@ def test_a_cloud_that_is_no_surface_is_refused(cloud: FloatArray, message: str) 
 
 
 @pytest.mark.parametrize(
-    ("gap", "message"), [(100.0, "larger than the region"), (0.001, "at most"), (None, "need a segment gap")]
+    ("gap", "message"),
+    [
+        (100.0, "larger than the region"),
+        (0.001, "at most"),
+        (0.05, r"nearly all of them empty; choose about 1\.2, or at least 0\.083"),
+        (None, "need a segment gap"),
+    ],
 )
 def test_a_gap_that_does_not_fit_is_refused(gap: float | None, message: str) -> None:
     with pytest.raises(ParameterError, match=message):

@@ -1,0 +1,135 @@
+"""The command line: one clear line for whatever is wrong, exit status not 0, no traceback."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sender.__main__ import main
+from sender.client import ReceiverClient, RetryPolicy, Sent
+
+NOWHERE = ["--receiver", "http://127.0.0.1:9"]  # the discard port: nothing listens there
+
+
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    monkeypatch.setattr(sys, "argv", ["sender", *arguments])
+    monkeypatch.setenv("COLUMNS", "120")
+    with pytest.raises(SystemExit) as stop:
+        main()
+    out, err = capsys.readouterr()
+    return int(stop.value.code or 0), out, err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["surface1"], "did you mean surface-1?"),
+        (["surface-1", "--gap", "5"], "larger than the region"),
+        (["surface-1", "--gap", "0.001"], "nearly all of them empty"),
+        (["surface-1", "--gap", "1e-9"], "at most 16000000"),
+        (["surface-1", "--gap", "-1"], "gap: Input should be greater than 0"),
+        (["surface-1", "--points", "1"], "at least 3"),
+        (["surface-1", "--receiver", "localhost"], "not a receiver's URL"),
+        (["surface-1", "--channel", "gausian:std=1"], "did you mean 'gaussian'?"),
+        (["surface-1", "--id", "a b"], "id: String should match"),
+        (["nothing.csv"], "No such file"),
+        (["empty.csv"], "is empty"),
+        (["one.csv"], "at least 3"),
+        (["place.csv"], "one place"),
+        (["line.csv"], "one line"),
+        (["nan.csv"], "NaN or infinite"),
+        (["repeated.csv"], "more than one height"),
+        (["binary.csv"], "not a text file"),
+        (["picture.png"], "accepted endings"),
+    ],
+)
+def test_bad_input_is_one_line(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    message: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, text in {
+        "empty.csv": b"",
+        "one.csv": b"1,2,3",
+        "place.csv": b"1,2,3\n" * 5,
+        "line.csv": b"1,1,3\n2,2,4\n3,3,0\n",
+        "nan.csv": b"1,1,nan\n2,0,4\n3,3,0\n",
+        "repeated.csv": b"1,1,1\n1,1,4\n3,3,0\n5,0,0\n",
+        "binary.csv": b"\x89PNG\xff",
+        "picture.png": b"\x89PNG",
+    }.items():
+        (tmp_path / name).write_bytes(text)
+    status, _, err = run(monkeypatch, capsys, "send", *arguments)
+    assert status == 1
+    assert message in err
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+
+
+def test_a_receiver_that_is_not_running_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    connect = ReceiverClient.connect
+
+    def impatient(*arguments: Any) -> ReceiverClient:
+        client = connect(*arguments)
+        client.retry = RetryPolicy(tries=1)
+        return client
+
+    monkeypatch.setattr(ReceiverClient, "connect", impatient)
+    status, out, err = run(monkeypatch, capsys, "send", "surface-1", *NOWHERE)
+    assert status == 1
+    assert "50 feature points" in out
+    assert "does not answer" in err
+    assert "receiver serve" in err
+
+
+@pytest.mark.parametrize(
+    "arguments", [["snd"], ["send"], ["send", "surface-1", "--kind", "all"], ["serve", "--prt", "1"]]
+)
+def test_a_typo_is_a_usage_error(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: list[str]
+) -> None:
+    status, _, err = run(monkeypatch, capsys, *arguments)
+    assert status == 2
+    assert "Usage: " in err
+    assert "Traceback" not in err
+
+
+def test_the_surfaces_are_listed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(monkeypatch, capsys, "surfaces")
+    assert status == 0
+    assert "surface-3-squared" in out
+    assert "138632" in out
+
+
+def test_every_option_of_send_reaches_the_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seen: dict[str, Any] = {}
+
+    def record(_function: object, prepared: object, order: object, receiver: str, *_rest: object) -> Sent:
+        seen.update(prepared=prepared, order=order, receiver=receiver)
+        raise SystemExit(0)
+
+    monkeypatch.setattr("sender.__main__.anyio.run", record)
+    path = tmp_path / "cloud.csv"
+    path.write_text("a,b,c,d\n" + "".join(f"9,{i % 7},{i // 7},{i}\n" for i in range(49)))
+    run(
+        monkeypatch, capsys, "send", str(path), "--id", "n", "--gap", "2", "--points", "40", "--seed", "3", "--columns",
+        "b,c,d", "--repeated", "max", "--xy-unit", "km", "--z-unit", "m", "--rounds", "4", "--datagram", "300",
+        "--precision", "float32", "--receiver", "http://r.test",
+    )  # fmt: skip
+    order = seen["order"].model_dump()
+    expected = {"id": "n", "gap": 2.0, "points": 40, "seed": 3, "columns": ("b", "c", "d"), "repeated": "max",
+                "xy_unit": "km", "z_unit": "m", "rounds": 4}  # fmt: skip
+    assert expected.items() <= order.items()
+    assert (order["wire"]["datagram"], order["wire"]["precision"]) == (300, "float32")
+    assert seen["prepared"].cloud == 40
+    assert seen["receiver"] == "http://r.test"
