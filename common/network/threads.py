@@ -8,9 +8,10 @@ what the first one found.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing, contextmanager
 from threading import Lock
 from typing import TypeVar
 
@@ -18,6 +19,9 @@ from threadpoolctl import ThreadpoolController, threadpool_limits
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+AHEAD = 4
+"""Items a thread that are begun before their turn."""
 
 _lock = Lock()
 _users = 0
@@ -56,29 +60,38 @@ def parallel(
     workers: int | None = None,
     tick: Callable[[float], None] | None = None,
 ) -> list[Result]:
-    """``[work(item) for item in items]`` on all cores, BLAS on one thread each.
-
-    ``tick(fraction)`` is called in the caller's thread after each result; whatever it or `work` raises cancels what has
-    not begun and is raised here.
-    """
+    """``[work(item) for item in items]`` on all cores, BLAS on one thread each; see `in_order`."""
     waiting = list(items)
-    count = min(workers or cores(), len(waiting))
     results: list[Result] = []
+    with closing(in_order(work, waiting, workers=workers)) as arriving:
+        for result in arriving:
+            results.append(result)
+            if tick is not None:
+                tick(len(results) / len(waiting))
+    return results
+
+
+def in_order(
+    work: Callable[[Item], Result], items: Sequence[Item], *, workers: int | None = None
+) -> Generator[Result, None, None]:
+    """Results in the order of the items, only a few ahead of the one asked for.
+
+    Whoever adds the results up gets the same sum to the last bit, however the threads were scheduled. What `work` or
+    the caller raises cancels what has not begun.
+    """
+    count = min(workers or cores(), len(items))
     with single_threaded_blas():
         if count < 2:
-            for item in waiting:
-                results.append(work(item))
-                if tick is not None:
-                    tick(len(results) / len(waiting))
-            return results
+            yield from map(work, items)
+            return
         with ThreadPoolExecutor(count, thread_name_prefix="network") as pool:
-            futures = [pool.submit(work, item) for item in waiting]
+            ahead: deque[Future[Result]] = deque()
             try:
-                for future in futures:
-                    results.append(future.result())
-                    if tick is not None:
-                        tick(len(results) / len(waiting))
-            except BaseException:
+                for item in items:
+                    ahead.append(pool.submit(work, item))
+                    if len(ahead) > AHEAD * count:
+                        yield ahead.popleft().result()
+                while ahead:
+                    yield ahead.popleft().result()
+            finally:
                 pool.shutdown(wait=False, cancel_futures=True)
-                raise
-    return results

@@ -1,0 +1,601 @@
+"""A partition of unity of small networks, for more points than one dense network can take.
+
+Every cell of a balanced quadtree carries a patch: a network whose centres are the points of the cell and of a margin
+around it. Patches are blended by smooth weights (Wendland 2002, "Fast evaluation of radial basis functions: methods
+based on partition of unity"),
+
+    f(x) = sum_p w_p(x) f_p(x) / sum_p w_p(x),    f_p(x) = b_p + sum_l a_l sum_j c_pj exp(-|x - x_j|^2 / 2 (s_l h_p)^2)
+
+where w_p is a product of quintic steps, so f has two continuous derivatives and no seam. All patches share one kernel,
+measured in the patch's own mean spacing h_p, and its smoothing; both are chosen from the data by a sample of patches,
+each with its own amplitude. Where a patch has too few points in a quarter of its square, in a hole or beside one, it
+borrows the nearest points wherever they are, so every place is covered.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, Self, TypeAlias
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from common.errors import TrainingError
+from common.network import local
+from common.network.cover import Cover, Frame, frame_for, ragged, step
+from common.network.kernel import Kernel, rough_amplitudes
+from common.network.local import CACHED, FAR, Levels
+from common.network.quadtree import DEEPEST, Quadtree
+from common.network.threads import in_order, parallel
+from common.surface import FloatArray, IntArray
+
+Tick: TypeAlias = Callable[[str, float], None]
+BoolArray: TypeAlias = np.ndarray[Any, np.dtype[np.bool_]]
+
+FIT_MARGIN = 0.5
+"""How far the points of a patch reach beyond its cell, in sides of the cell: as far as the touching cells go."""
+
+BLEND_MARGIN = 0.3
+"""How far the weight of a patch reaches: less than its points, so that no patch is asked at its rim."""
+
+FEWEST = 3
+"""Points in a quarter of a patch below which it borrows."""
+
+BORROWED = 12
+"""Points borrowed at each of nine places of a patch."""
+
+BATCH = 64
+"""Patches factorised together."""
+
+GROUP = 2048
+"""Patches whose points are looked up together."""
+
+TILE = 64
+"""Most rows and columns of a grid that a patch evaluates at once."""
+
+QUERIES = 256
+"""Most scattered positions that a patch evaluates at once."""
+
+SAMPLE = 24
+"""Patches that choose kernel and smoothing."""
+
+LADDER: FloatArray = np.asarray(32.0 / 2.0 ** np.arange(8))
+"""Spreads of the ladder in mean spacings; a patch is about ten spacings wide. A step of two is as good as the dense
+ladder's square root of two here, at half the cost."""
+
+SINGLE = (1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
+"""Single spreads tried, in mean spacings."""
+
+ROUGHNESS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
+"""Exponents H of the ladder tried."""
+
+SMOOTHINGS: FloatArray = np.logspace(-13, 1, 29)
+
+MEMORY = 4 << 30
+"""Bytes that a fit may take."""
+
+BYTES_A_POINT = 400
+"""Peak of a fit as measured, in bytes a point, rounded up."""
+
+_RAISES = 12
+
+
+@dataclass(slots=True, eq=False)
+class Partition:
+    """A surface of many small networks; made by `fit`.
+
+    Attributes
+    ----------
+    cover : Cover
+        The patches' squares.
+    u : ndarray, shape (n, 2)
+        Centres in cells (see `Frame`), sorted along the quadtree.
+    weights : ndarray, shape (n,)
+        Samples behind each centre.
+    starts : ndarray of int, shape (patches + 1,)
+        Where the centres of each patch begin in `members`.
+    members : ndarray of int
+        Rows of `u`.
+    spacings : ndarray, shape (patches,)
+        Mean spacing of each patch, in cells.
+    kernel : Kernel
+        Spreads in mean spacings of a patch.
+    smoothing : ndarray, shape (patches,)
+        On the diagonal of the kernel matrix of each patch, whose diagonal is 1.
+    coefficients : ndarray, shape (len(members), k)
+    bias : ndarray, shape (patches, k)
+    amplitude : ndarray, shape (patches, k)
+        Deviation of the surface about the bias of each patch, as its kernel explains it.
+    """
+
+    cover: Cover
+    u: FloatArray
+    weights: FloatArray
+    starts: IntArray
+    members: IntArray
+    spacings: FloatArray
+    kernel: Kernel
+    smoothing: FloatArray
+    coefficients: FloatArray
+    bias: FloatArray
+    amplitude: FloatArray
+
+    @classmethod
+    def fit(
+        cls,
+        X: FloatArray,
+        y: FloatArray,
+        *,
+        spread: float | Literal["auto"] = "auto",
+        smoothing: float | Literal["auto"] = "auto",
+        weights: FloatArray | None = None,
+        memory: int = MEMORY,
+        tick: Tick | None = None,
+    ) -> Self:
+        """Fit to positions X (n, 2) and values y (n, k).
+
+        Parameters
+        ----------
+        spread : "auto" or float
+            One spread for all neurons in the units of X, or chosen with the smoothing.
+        smoothing : "auto" or float
+            lambda >= 0, the variance of the noise over that of the surface within a patch.
+        weights : ndarray, shape (n,), optional
+            Samples behind each value.
+        memory : int
+            Bytes that the fit may take.
+        tick : callable, optional
+            ``tick(stage, fraction)``; whatever it raises ends the fit.
+
+        Raises
+        ------
+        TrainingError
+            If the fit would take more than `memory`, or the points are all at one place.
+        """
+        n, outputs = y.shape
+        needed = n * (BYTES_A_POINT + 40 * (outputs - 1))
+        if needed > memory:
+            raise TrainingError(
+                f"{n} points need about {needed / 2**20:.0f} MiB; accepted are at most {memory / 2**20:.0f} MiB"
+            )
+        if not np.ptp(X, axis=0).any():
+            raise TrainingError("all points are at one place")
+        told = tick or (lambda _stage, _fraction: None)
+        told("cells", 0.0)
+        frame = frame_for(X)
+        codes = frame.codes(X)
+        order = np.argsort(codes, kind="stable")
+        codes, u, values = codes[order], frame.scaled(X[order]), y[order]
+        share = np.ones(n) if weights is None else weights[order]
+        first = np.flatnonzero(np.append(True, codes[1:] != codes[:-1]))
+        if len(first) < n:
+            total = np.add.reduceat(share, first)
+            u = np.add.reduceat(u * share[:, None], first) / total[:, None]
+            values = np.add.reduceat(values * share[:, None], first) / total[:, None]
+            codes, share = codes[first], total
+        cover = Cover.over(frame, codes)
+        starts, members, spacings = _patches(cover, u, cover.runs(codes), told)
+        if spread != "auto":
+            spacings[:] = spread / frame.side
+        patches = len(cover)
+        empty = np.zeros((0, 0))
+        made = cls(
+            cover, u, share, starts, members, spacings, Kernel.single(1.0), np.zeros(patches), empty, empty, empty
+        )
+        kernel, level = made._chosen(values, spread, smoothing, told)
+        made.kernel, made.smoothing = kernel, np.full(patches, level)
+        made._solve(values, told)
+        return made
+
+    def to_state(self) -> dict[str, np.ndarray[Any, Any]]:
+        """Everything, as arrays that `numpy.savez` takes without pickling."""
+        frame, tree = self.cover.frame, self.cover.tree
+        state: dict[str, np.ndarray[Any, Any]] = {name: getattr(self, name) for name in _ARRAYS}
+        state |= {"low": frame.low, "side": np.array(frame.side), "extent": frame.extent}
+        state |= {"codes": tree.codes, "levels": tree.levels}
+        return state | {"spreads": self.kernel.spreads, "amplitudes": self.kernel.amplitudes}
+
+    @classmethod
+    def from_state(cls, state: dict[str, np.ndarray[Any, Any]]) -> Self:
+        """The partition that `to_state` wrote."""
+        frame = Frame(np.array(state["low"]), float(state["side"]), np.array(state["extent"]))
+        tree = Quadtree(DEEPEST, np.array(state["codes"]), np.array(state["levels"]), frame.shape)
+        arrays = {name: np.array(state[name]) for name in _ARRAYS}
+        return cls(
+            cover=Cover(frame, tree),
+            kernel=Kernel(np.array(state["spreads"]), np.array(state["amplitudes"])),
+            **arrays,
+        )
+
+    @property
+    def centers(self) -> FloatArray:
+        """Centres in the units of X, shape (n, 2), sorted along the quadtree."""
+        frame = self.cover.frame
+        return np.asarray((self.u - frame.start) * frame.side + frame.low)
+
+    @property
+    def spreads(self) -> FloatArray:
+        """Spreads of the patches in the units of X, shape (patches, levels), descending."""
+        return np.asarray(self.cover.frame.side * self.spacings[:, None] * self.kernel.spreads)
+
+    def __len__(self) -> int:
+        return len(self.cover)
+
+    def _batch(self, patches: IntArray) -> tuple[FloatArray, IntArray, BoolArray]:
+        """Centres (p, k, 2) in mean spacings about the patch's middle, their rows (p, k), and which are not padding."""
+        first, counts = self.starts[patches], np.diff(self.starts)[patches]
+        width = int(counts.max())
+        at = np.arange(width)
+        real = at < counts[:, None]
+        slots = np.where(real, first[:, None] + at, 0)
+        rows = self.members[slots].astype(np.int64)
+        points = (self.u[rows] - self.cover.centres[patches, None]) / self.spacings[patches, None, None]
+        points[~real] = (FAR * (1 + np.broadcast_to(at, real.shape)[~real]))[:, None]
+        return points, np.where(real, slots, -1), real
+
+    def _chosen(
+        self, values: FloatArray, spread: float | str, smoothing: float | str, tick: Tick
+    ) -> tuple[Kernel, float]:
+        """Kernel and smoothing of the least geometric mean of evidence and leave-one-out error over a sample."""
+        kernels = _kernels() if spread == "auto" else [Kernel.single(1.0)]
+        counts = np.diff(self.starts)
+        floor = _floor(int(counts.max()))
+        if smoothing != "auto":
+            smoothings = np.array([max(float(smoothing), floor)])
+        else:
+            smoothings = SMOOTHINGS[floor <= SMOOTHINGS]
+        if len(kernels) == len(smoothings) == 1:
+            return kernels[0], float(smoothings[0])
+        rng = np.random.default_rng(0)
+        usual = np.flatnonzero((counts >= min(40, counts.max())) & (counts <= 4 * np.median(counts)))
+        sample = rng.permutation(usual if len(usual) else np.arange(len(self)))[:SAMPLE]
+        tick("selection", 0.0)
+        scores = parallel(
+            lambda patch: self._scores(int(patch), values, kernels, smoothings),
+            sample,
+            tick=lambda fraction: tick("selection", fraction),
+        )
+        best = np.unravel_index(int(np.argmin(np.sum(scores, axis=0))), (len(kernels), len(smoothings)))
+        return kernels[best[0]], float(smoothings[best[1]])
+
+    def _scores(self, patch: int, values: FloatArray, kernels: list[Kernel], smoothings: FloatArray) -> FloatArray:
+        """Score of each kernel and smoothing on one patch, shape (kernels, smoothings)."""
+        rows = self.members[self.starts[patch] : self.starts[patch + 1]]
+        y = values[rows]
+        if len(rows) < 4 or not np.ptp(y, axis=0).all():
+            return np.zeros((len(kernels), len(smoothings)))
+        points = self.u[rows] / self.spacings[patch]
+        points = (points - points.mean(axis=0))[None]
+        grams = np.concatenate([Levels(kernel).matrix(points, points) for kernel in kernels])
+        return local.scores(grams, (y - y.mean(axis=0)) / y.std(axis=0), self.weights[rows], smoothings)
+
+    def _solve(self, values: FloatArray, tick: Tick) -> None:
+        """Coefficients, bias and amplitude of every patch."""
+        outputs = values.shape[1]
+        levels = Levels(self.kernel)
+        self.coefficients = np.zeros((len(self.members), outputs))
+        self.bias, self.amplitude = np.zeros((len(self), outputs)), np.zeros((len(self), outputs))
+        order = np.argsort(np.diff(self.starts), kind="stable")
+
+        def work(patches: IntArray) -> None:
+            points, slots, real = self._batch(patches)
+            rows = self.members[slots]
+            right = np.zeros((len(patches), 1 + outputs, points.shape[1]))
+            right[:, 0] = real
+            middle = np.zeros((len(patches), outputs))
+            for k in range(outputs):
+                y = np.where(real, values[rows, k], 0.0)
+                middle[:, k] = y.sum(axis=1) / real.sum(axis=1)
+                right[:, 1 + k] = np.where(real, y - middle[:, k, None], 0.0)
+            for _ in range(_RAISES):
+                diagonal = self.smoothing[patches, None] / np.where(real, self.weights[rows], 1.0)
+                matrix = local.gram(points, diagonal, levels, extra=1 + outputs)
+                try:
+                    solution, inner, _ = local.solve(matrix, right)
+                except np.linalg.LinAlgError:
+                    self.smoothing[patches] = 10 * np.maximum(self.smoothing[patches], _floor(points.shape[1]))
+                else:
+                    break
+            else:
+                raise TrainingError("the kernel matrix of a patch is not positive definite, whatever the smoothing")
+            bias = inner[:, 0, 1:] / inner[:, 0, :1]
+            quadratic = np.diagonal(inner, axis1=1, axis2=2)[:, 1:] - bias * inner[:, 0, 1:]
+            self.amplitude[patches] = np.sqrt(np.maximum(quadratic, 0.0) / np.maximum(real.sum(axis=1) - 1, 1)[:, None])
+            self.bias[patches] = middle + bias
+            coefficients = solution[:, 1:] - bias[:, :, None] * solution[:, :1]
+            self.coefficients[slots[real]] = coefficients.transpose(0, 2, 1)[real]
+
+        batches = [order[start : start + BATCH] for start in range(0, len(order), BATCH)]
+        parallel(work, batches, tick=lambda fraction: tick("solve", fraction))
+
+    def predict_grid(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Values on a grid, shape (len(y), len(x), k): patch by patch, each a matrix product.
+
+        Beyond the data's box the nearest patches go on.
+        """
+        outputs = self.coefficients.shape[1]
+        columns, rows = np.argsort(x, kind="stable"), np.argsort(y, kind="stable")
+        axes = self._axis(x[columns], 0), self._axis(y[rows], 1)
+        total, weight = np.zeros((outputs, len(y), len(x))), np.zeros((len(y), len(x)))
+        levels = Levels(self.kernel)
+        pieces = self._pieces(axes)
+        found = in_order(lambda piece: self._rectangles(*piece, axes, levels), pieces)
+        for (_, boxes), (values, weights) in zip(pieces, found, strict=True):
+            for value, w, (left, right, bottom, top) in zip(values, weights, boxes.tolist(), strict=True):
+                total[:, bottom:top, left:right] += value[:, : top - bottom, : right - left]
+                weight[bottom:top, left:right] += w[: top - bottom, : right - left]
+        total /= weight
+        grid = np.empty((len(y), len(x), outputs))
+        grid[np.ix_(rows, columns)] = np.moveaxis(total, 0, 2)
+        return grid
+
+    def predict(self, X: FloatArray) -> FloatArray:
+        """Values at X (m, 2), shape (m, k)."""
+        levels = Levels(self.kernel)
+
+        def values(patches: IntArray, places: FloatArray) -> FloatArray:
+            points, slots, real = self._batch(patches)
+            matrix = levels.matrix(places, points)
+            c = np.where(real[:, :, None], self.coefficients[slots], 0.0)
+            return np.asarray(matrix @ c + self.bias[patches, None])
+
+        blended, _ = self._blended(X, self.coefficients.shape[1], values)
+        return blended
+
+    def predict_std(self, X: FloatArray) -> FloatArray:
+        """Standard deviation of the surface at X (m, 2), without the noise of a new measurement, shape (m, k)."""
+        levels = Levels(self.kernel)
+
+        def deviations(patches: IntArray, places: FloatArray) -> FloatArray:
+            points, slots, real = self._batch(patches)
+            diagonal = self.smoothing[patches, None] / np.where(real, self.weights[self.members[slots]], 1.0)
+            inverse = np.linalg.inv(np.linalg.cholesky(local.gram(points, diagonal, levels)))
+            half = inverse @ levels.matrix(points, places)
+            one = inverse @ real[:, :, None].astype(np.float64)
+            gap = 1 - (one.transpose(0, 2, 1) @ half)[:, 0]
+            variance = 1 - np.square(half).sum(axis=1) + gap**2 / np.square(one).sum(axis=1)
+            variance = np.maximum(variance, 0.0)
+            return np.asarray(np.sqrt(variance)[:, :, None] * self.amplitude[patches, None])
+
+        blended, _ = self._blended(X, self.amplitude.shape[1], deviations)
+        return blended
+
+    def predict_gradient(self, X: FloatArray) -> FloatArray:
+        """Derivatives of the blended surface at X (m, 2), shape (m, k, 2), in units of y over units of X."""
+        levels, outputs = Levels(self.kernel), self.coefficients.shape[1]
+
+        def slopes(patches: IntArray, places: FloatArray) -> FloatArray:
+            points, slots, real = self._batch(patches)
+            matrix, slope = levels.slope(local.squared_distances(places, points))
+            c = np.where(real[:, :, None], self.coefficients[slots], 0.0)
+            parts = [matrix @ c + self.bias[patches, None]]
+            for axis in range(2):
+                away = places[:, :, None, axis] - points[:, None, :, axis]
+                parts.append((slope * away) @ c / self.spacings[patches, None, None])
+            return np.concatenate(parts, axis=2)
+
+        blended, lean = self._blended(X, 3 * outputs, slopes)
+        inner = blended[:, outputs:].reshape(-1, 2, outputs).transpose(0, 2, 1)
+        return np.asarray((inner + lean[:, :outputs]) / self.cover.frame.side)
+
+    def _axis(self, axis: FloatArray, which: int) -> tuple[FloatArray, FloatArray]:
+        """Coordinates of a grid's columns or rows in cells, and the nearest inside the data's box."""
+        frame = self.cover.frame
+        u = (axis - frame.low[which]) / frame.side + frame.start[which]
+        return u, np.clip(u, frame.start[which], frame.start[which] + frame.extent[which])
+
+    def _pieces(self, axes: tuple[tuple[FloatArray, FloatArray], ...]) -> list[tuple[IntArray, IntArray]]:
+        """Batches of patches and the grid rectangles (left, right, bottom, top) they are to evaluate."""
+        reach = self.cover.sides * (0.5 + BLEND_MARGIN)
+        bounds = []
+        for (_, clipped), centre in zip(axes, self.cover.centres.T, strict=True):
+            bounds.append(np.searchsorted(clipped, centre - reach, side="left"))
+            bounds.append(np.searchsorted(clipped, centre + reach, side="right"))
+        box = np.stack(bounds, axis=1)
+        across, along = -(-(box[:, 1] - box[:, 0]) // TILE), -(-(box[:, 3] - box[:, 2]) // TILE)
+        patches = np.repeat(np.arange(len(self)), across * along)
+        part = ragged(np.zeros(len(self), dtype=np.int64), across * along)
+        left = box[patches, 0] + TILE * (part % np.maximum(across[patches], 1))
+        bottom = box[patches, 2] + TILE * (part // np.maximum(across[patches], 1))
+        right, top = np.minimum(left + TILE, box[patches, 1]), np.minimum(bottom + TILE, box[patches, 3])
+        counts = np.diff(self.starts)[patches]
+        order = np.lexsort((counts, top - bottom, right - left))
+        boxes = np.stack([left, right, bottom, top], axis=1)[order]
+        patches, counts = patches[order], counts[order]
+        size = np.maximum(boxes[:, 1] - boxes[:, 0], boxes[:, 3] - boxes[:, 2]) * counts * len(self.kernel.spreads)
+        return [(patches[part], boxes[part]) for part in _runs(size, CACHED)]
+
+    def _rectangles(
+        self,
+        patches: IntArray,
+        boxes: IntArray,
+        axes: tuple[tuple[FloatArray, FloatArray], ...],
+        levels: Levels,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Weighted values (p, k, rows, columns) and weights (p, rows, columns) of a batch of grid rectangles."""
+        points, slots, real = self._batch(patches)
+        sides, weights = [], []
+        for axis, (u, clipped) in enumerate(axes):
+            first, last = boxes[:, 2 * axis], boxes[:, 2 * axis + 1]
+            at = first[:, None] + np.arange(int((last - first).max()))
+            inside = at < last[:, None]
+            at = np.where(inside, at, first[:, None])
+            centre = self.cover.centres[patches, axis, None]
+            weights.append(self._weights(clipped[at] - centre, patches)[0] * inside)
+            away = (u[at] - centre) / self.spacings[patches, None]
+            sides.append(_along(away, points[:, :, axis], levels))
+        weight = weights[1][:, :, None] * weights[0][:, None, :]
+        outputs = self.coefficients.shape[1]
+        values = np.empty((len(patches), outputs, *weight.shape[1:]))
+        p, columns, depth, k = sides[0].shape
+        across = sides[0].reshape(p, columns, depth * k).transpose(0, 2, 1)
+        for output in range(outputs):
+            c = np.where(real, self.coefficients[slots, output], 0.0)
+            scaled = sides[1] * (levels.amplitudes[:, None] * c[:, None, :])[:, None]
+            values[:, output] = scaled.reshape(p, -1, depth * k) @ across
+        values += self.bias[patches, :, None, None]
+        values *= weight[:, None]
+        return values, weight
+
+    def _weights(self, away: FloatArray, patches: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Weight along one axis at offsets (p, m) from the middle of the patches, in cells, and its slope."""
+        side = self.cover.sides[patches, None]
+        value, slope = step((0.5 + BLEND_MARGIN - np.abs(away) / side) / (2 * BLEND_MARGIN))
+        return value, -slope * np.sign(away) / (2 * BLEND_MARGIN * side)
+
+    def _blended(
+        self, X: FloatArray, columns: int, evaluate: Callable[[IntArray, FloatArray], FloatArray]
+    ) -> tuple[FloatArray, FloatArray]:
+        """What the patches say at X (m, 2), blended, and what the change of the weights adds to the derivatives.
+
+        `evaluate` takes patches (p,) and places (p, q, 2) in mean spacings about their middles to (p, q, columns). The
+        second result has the shape (m, columns, 2), per cell.
+        """
+        frame = self.cover.frame
+        u = frame.scaled(X)
+        inside = frame.clipped(u)
+        codes = frame.codes(X)
+        order = np.argsort(codes, kind="stable")
+        u, inside, codes = u[order], inside[order], codes[order]
+        runs = self.cover.runs(codes)
+        total, weight = np.zeros((len(X), columns)), np.zeros(len(X))
+        lean, shift = np.zeros((len(X), columns, 2)), np.zeros((len(X), 2))
+
+        def work(piece: tuple[IntArray, IntArray, BoolArray]) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+            patches, rows, real = piece
+            centres = self.cover.centres[patches, None]
+            away = inside[rows] - centres
+            wx, sx = self._weights(away[..., 0], patches)
+            wy, sy = self._weights(away[..., 1], patches)
+            found = evaluate(patches, (u[rows] - centres) / self.spacings[patches, None, None])[real]
+            slope = (np.stack([sx * wy, wx * sy], axis=-1) * (u[rows] == inside[rows]))[real]
+            return rows[real], found, (wx * wy)[real], slope
+
+        for patches in self.cover.groups(GROUP):
+            position, row = self.cover.members(patches, inside, runs, BLEND_MARGIN)
+            for at, found, w, slope in in_order(work, self._queries(patches, position, row)):
+                np.add.at(total, at, w[:, None] * found)
+                np.add.at(weight, at, w)
+                np.add.at(lean, at, found[:, :, None] * slope[:, None, :])
+                np.add.at(shift, at, slope)
+        blended = total / weight[:, None]
+        lean = (lean - blended[:, :, None] * shift[:, None, :]) / weight[:, None, None]
+        values, slopes = np.empty_like(blended), np.empty_like(lean)
+        values[order], slopes[order] = blended, lean
+        return values, slopes
+
+    def _queries(
+        self, patches: IntArray, position: IntArray, row: IntArray
+    ) -> list[tuple[IntArray, IntArray, BoolArray]]:
+        """Batches of patches (p,), rows of queries (p, q), and which of those are not padding."""
+        counts = np.bincount(position, minlength=len(patches))
+        parts = -(-counts // QUERIES)
+        which = np.repeat(np.arange(len(patches)), parts)
+        first = (np.cumsum(counts) - counts)[which] + QUERIES * ragged(np.zeros_like(parts), parts)
+        many = np.minimum(np.cumsum(counts)[which] - first, QUERIES)
+        points = np.diff(self.starts)[patches[which]]
+        order = np.lexsort((points, many))
+        pieces = []
+        for part in _runs((many * points)[order], CACHED):
+            chosen = order[part]
+            at = np.arange(int(many[chosen].max()))
+            real = at < many[chosen, None]
+            pieces.append(
+                (patches[which[chosen]], row[np.where(real, first[chosen, None] + at, first[chosen, None])], real)
+            )
+        return pieces
+
+
+_ARRAYS = ("u", "weights", "starts", "members", "spacings", "smoothing", "coefficients", "bias", "amplitude")
+
+
+def _floor(n: int) -> float:
+    """The least smoothing that a kernel matrix of n points can be told from rounding by."""
+    return float(4 * n * np.finfo(np.float64).eps)
+
+
+def _kernels() -> list[Kernel]:
+    """Ladders of every roughness and single Gaussians."""
+    ladders = [Kernel.mixture(LADDER, rough_amplitudes(LADDER, roughness)) for roughness in ROUGHNESS]
+    return ladders + [Kernel.single(spread) for spread in SINGLE]
+
+
+def _along(away: FloatArray, points: FloatArray, levels: Levels) -> FloatArray:
+    """Gaussians along one axis, shape (p, m, levels, k), of offsets (p, m) and points (p, k)."""
+    r2 = np.square(away[:, :, None] - points[:, None, :])
+    values = np.empty((*r2.shape[:2], len(levels), r2.shape[2]))
+    current = np.empty_like(r2)
+    for level in range(len(levels)):
+        levels.advance(level, r2, current)
+        values[:, :, level] = current
+    return values
+
+
+def _runs(size: IntArray, budget: int) -> list[slice]:
+    """Consecutive items whose number times their largest size stays within the budget, at least one each."""
+    runs, start = [], 0
+    while start < len(size):
+        stop, largest = start + 1, int(size[start])
+        while stop < len(size) and (stop + 1 - start) * max(largest, int(size[stop])) <= budget:
+            largest = max(largest, int(size[stop]))
+            stop += 1
+        runs.append(slice(start, stop))
+        start = stop
+    return runs
+
+
+def _patches(cover: Cover, u: FloatArray, runs: IntArray, tick: Tick) -> tuple[IntArray, IntArray, FloatArray]:
+    """Points of every patch: where they begin (patches + 1,), their rows, and the mean spacing of each patch."""
+    start, end = cover.frame.start, cover.frame.start + cover.frame.extent
+
+    def gather(patches: IntArray) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
+        position, row = cover.members(patches, u, runs, FIT_MARGIN)
+        reach = cover.sides[patches, None] * (0.5 + FIT_MARGIN)
+        low = np.maximum(cover.centres[patches] - reach, start)
+        high = np.minimum(cover.centres[patches] + reach, end)
+        middle = (low + high) / 2
+        quarter = (u[row, 0] > middle[position, 0]) + 2 * (u[row, 1] > middle[position, 1])
+        counts = np.bincount(4 * position + quarter, minlength=4 * len(patches)).reshape(-1, 4)
+        total = counts.sum(axis=1)
+        spacing = np.sqrt(np.prod(high - low, axis=1) / np.maximum(total, 1))
+        poor = np.flatnonzero(counts.min(axis=1) < FEWEST)
+        return total, row.astype(np.int32), patches[poor], spacing
+
+    groups = list(cover.groups(GROUP))
+    found = parallel(gather, groups, tick=lambda fraction: tick("cells", fraction))
+    counts = np.concatenate([part[0] for part in found])
+    members = np.concatenate([part[1] for part in found])
+    poor = np.concatenate([part[2] for part in found])
+    spacings = np.concatenate([part[3] for part in found])
+    starts = np.append(0, np.cumsum(counts))
+    if len(poor):
+        starts, members = _with_borrowed(cover, u, starts, members, poor, spacings)
+    return starts, members, spacings
+
+
+def _with_borrowed(
+    cover: Cover, u: FloatArray, starts: IntArray, members: IntArray, poor: IntArray, spacings: FloatArray
+) -> tuple[IntArray, IntArray]:
+    """Add to each of the `poor` patches the points nearest to nine places of its square; mends their spacings."""
+    nearest = KDTree(u, balanced_tree=False, compact_nodes=False)
+    reach = cover.sides[poor, None] * (0.5 + FIT_MARGIN)
+    low = np.maximum(cover.centres[poor] - reach, cover.frame.start)
+    high = np.minimum(cover.centres[poor] + reach, cover.frame.start + cover.frame.extent)
+    thirds = np.array([(i, j) for i in (0.0, 0.5, 1.0) for j in (0.0, 0.5, 1.0)])
+    places = low[:, None] + thirds * (high - low)[:, None]
+    _, rows = nearest.query(places.reshape(-1, 2), k=range(1, min(BORROWED, len(u)) + 1))
+    borrowed = rows.reshape(len(poor), -1).astype(np.int32)
+    runs: list[IntArray] = []
+    done = 0
+    counts = np.diff(starts)
+    for patch, extra in zip(poor, borrowed, strict=True):
+        runs.append(members[done : starts[patch]])
+        mine = np.union1d(members[starts[patch] : starts[patch + 1]], extra)
+        runs.append(mine)
+        done = starts[patch + 1]
+        counts[patch] = len(mine)
+        box = np.ptp(u[mine], axis=0)
+        spacings[patch] = max(float(np.sqrt(box[0] * box[1] / len(mine))), float(box.max()) / len(mine))
+    runs.append(members[done:])
+    return np.append(0, np.cumsum(counts)), np.concatenate(runs)

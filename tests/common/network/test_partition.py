@@ -1,0 +1,275 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from common.errors import TrainingError
+from common.network import local
+from common.network.kernel import Kernel
+from common.network.local import Levels
+from common.network.partition import Partition
+from common.surface import FloatArray
+
+
+def sine(X: FloatArray) -> FloatArray:
+    return np.asarray(np.sin(2 * X[:, 0]) + np.sin(2 * X[:, 1]))
+
+
+def bowl(X: FloatArray) -> FloatArray:
+    return np.asarray(-5 / (1 + np.square(X).sum(axis=1)))
+
+
+def rough(X: FloatArray) -> FloatArray:
+    """Waves of every length from 4 down to 0.25, each as steep as the others."""
+    rng = np.random.default_rng(7)
+    waves = rng.normal(size=(40, 2))
+    waves *= (2 * np.pi / np.geomspace(4, 0.25, 40) / np.linalg.norm(waves, axis=1))[:, None]
+    return np.asarray((np.sin(X @ waves.T + rng.uniform(0, 6, 40)) / np.linalg.norm(waves, axis=1)).sum(axis=1))
+
+
+def scattered(n: int, seed: int = 0) -> FloatArray:
+    return np.random.default_rng(seed).uniform(-2, 2, (n, 2))
+
+
+def rmse(partition: Partition, f: Callable[[FloatArray], FloatArray], X: FloatArray) -> float:
+    return float(np.sqrt(np.mean((partition.predict(X)[:, 0] - f(X)) ** 2)))
+
+
+@pytest.fixture(scope="module")
+def surface() -> Partition:
+    X = scattered(4000)
+    return Partition.fit(X, rough(X)[:, None])
+
+
+@pytest.mark.parametrize(("f", "accepted"), [(sine, 1e-5), (bowl, 1e-5), (rough, 5e-3)])
+def test_smooth_surfaces_are_reproduced(f: Callable[[FloatArray], FloatArray], accepted: float) -> None:
+    X = scattered(5000)
+    y = f(X)
+    inner = 0.97 * scattered(2000, 1)
+    assert rmse(Partition.fit(X, y[:, None]), f, inner) < accepted * np.ptp(y)
+
+
+def test_patches_agree_with_one_dense_network() -> None:
+    X = scattered(1500)
+    y = rough(X)
+    spread, smoothing = 0.15, 1e-6
+    gram = Kernel.single(spread).gram(X)
+    c = np.linalg.solve(gram + smoothing * np.eye(len(X)), y - y.mean())
+    Q = 0.95 * scattered(500, 3)
+    dense = Kernel.single(spread).gram(Q, X) @ c + y.mean()
+    blended = Partition.fit(X, y[:, None], spread=spread, smoothing=smoothing).predict(Q)[:, 0]
+    assert np.sqrt(np.mean((blended - dense) ** 2)) < 3e-3 * np.ptp(y)
+
+
+def test_a_grid_holds_what_scattered_evaluation_gives(surface: Partition) -> None:
+    x, y = np.linspace(-2.3, 2.3, 90), np.linspace(-2, 2.1, 70)
+    grid = surface.predict_grid(x, y)
+    nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    np.testing.assert_allclose(grid.reshape(-1, 1), surface.predict(nodes), atol=1e-8)
+    shuffled = np.random.default_rng(0).permutation(90)
+    np.testing.assert_allclose(surface.predict_grid(x[shuffled], y[::-1]), grid[::-1, shuffled], atol=1e-8)
+
+
+def test_the_seam_is_invisible(surface: Partition) -> None:
+    """Steps of height, slope and curvature along a line are no greater where patches begin and end than elsewhere."""
+    cover, frame = surface.cover, surface.cover.frame
+    step = 2e-4
+    t = np.arange(-1.8, 1.8, step)
+    at_seam, elsewhere = [], []
+    for offset in (-1.1, 0.03, 0.77):
+        z = surface.predict(np.stack([t, np.full_like(t, offset)], axis=1))[:, 0]
+        curvature = np.abs(np.diff(z, 2)) / step**2
+        u = frame.scaled(np.array([[0.0, offset]]))[0, 1]
+        near = np.abs(cover.centres[:, 1] - u) <= 0.8 * cover.sides
+        edges = np.concatenate([(cover.centres[near, 0] + part * cover.sides[near]) for part in (-0.8, -0.2, 0.2, 0.8)])
+        edges = (edges - frame.start[0]) * frame.side + frame.low[0]
+        distance = np.abs(t[1:-1, None] - edges).min(axis=1)
+        at_seam.append(curvature[distance < 2 * step])
+        elsewhere.append(curvature[distance > 10 * step])
+    seam, rest = np.concatenate(at_seam), np.concatenate(elsewhere)
+    assert len(seam) > 100
+    assert np.percentile(seam, 95) < 1.1 * np.percentile(rest, 95)
+    assert seam.max() < 1.1 * rest.max()
+
+
+def test_gradient_is_the_derivative_of_what_is_predicted(surface: Partition) -> None:
+    X, step = 1.1 * scattered(200, 5), 1e-5
+    X = X[np.all(np.abs(np.abs(X) - 2) > 0.01, axis=1)]
+    slopes = surface.predict_gradient(X)
+    assert slopes.shape == (len(X), 1, 2)
+    for axis in range(2):
+        shift = step * np.eye(2)[axis]
+        difference = (surface.predict(X + shift) - surface.predict(X - shift)) / (2 * step)
+        np.testing.assert_allclose(slopes[:, :, axis], difference, atol=1e-4 * np.abs(slopes).max())
+
+
+def test_deviation_covers_the_truth() -> None:
+    X, noise = scattered(6000), np.random.default_rng(9).normal(0, 0.05, 6000)
+    fitted = Partition.fit(X, (rough(X) + noise)[:, None])
+    Q = 0.97 * scattered(4000, 2)
+    error, deviation = fitted.predict(Q)[:, 0] - rough(Q), fitted.predict_std(Q)[:, 0]
+    assert 0.88 < np.mean(np.abs(error) < 1.96 * deviation) < 0.99
+    far = fitted.predict_std(np.array([[3.0, 3.0]]))[0, 0]
+    assert far > 3 * np.median(deviation)
+
+
+def test_noise_is_smoothed() -> None:
+    X = scattered(5000)
+    noisy = sine(X) + np.random.default_rng(1).normal(0, 0.2, len(X))
+    assert rmse(Partition.fit(X, noisy[:, None]), sine, 0.97 * scattered(1000, 1)) < 0.06
+
+
+def test_every_place_of_a_hole_is_covered() -> None:
+    X = scattered(6000)
+    X = X[np.hypot(X[:, 0] - 0.3, X[:, 1]) > 0.8]
+    fitted = Partition.fit(X, sine(X)[:, None])
+    grid = fitted.predict_grid(np.linspace(-2, 2, 120), np.linspace(-2, 2, 110))
+    assert np.all(np.isfinite(grid))
+    nodes = np.stack(np.meshgrid(np.linspace(-2, 2, 120), np.linspace(-2, 2, 110)), axis=-1).reshape(-1, 2)
+    error = np.abs(grid.ravel() - sine(nodes))
+    hole = np.hypot(nodes[:, 0] - 0.3, nodes[:, 1]) < 0.75
+    assert error[hole].max() < 0.6
+    assert np.sqrt(np.mean(error[~hole] ** 2)) < 1e-3
+    deviation = fitted.predict_std(nodes)[:, 0]
+    assert np.median(deviation[hole]) > 10 * np.median(deviation[~hole])
+
+
+def test_density_may_vary_a_thousandfold() -> None:
+    rng = np.random.default_rng(0)
+    X = np.concatenate([scattered(2000), 0.5 + 0.02 * rng.normal(size=(4000, 2)), [[0.5, 0.5 + 1e-9]]])
+    fitted = Partition.fit(X, rough(X)[:, None])
+    assert np.diff(fitted.starts).max() < 700
+    assert rmse(fitted, rough, 0.95 * scattered(1000, 1)) < 0.05 * np.ptp(rough(X))
+    assert rmse(fitted, rough, 0.5 + 0.02 * rng.normal(size=(500, 2))) < 1e-3 * np.ptp(rough(X))
+
+
+def test_tracks_and_lines() -> None:
+    rng = np.random.default_rng(0)
+    t = rng.uniform(-2, 2, 3000)
+    tracks = np.stack([t, np.round(rng.uniform(-2, 2, 3000))], axis=1)
+    Q = 0.95 * scattered(300, 1)
+    assert rmse(Partition.fit(tracks, sine(tracks)[:, None]), sine, Q) < 0.7
+    assert rmse(Partition.fit(tracks, sine(tracks)[:, None]), sine, tracks[:200]) < 1e-3
+    line = np.stack([t, 0.5 * t], axis=1)
+    assert rmse(Partition.fit(line, sine(line)[:, None]), sine, 0.9 * line[:300]) < 1e-3
+    flat = np.stack([t, np.zeros_like(t)], axis=1)
+    assert rmse(Partition.fit(flat, sine(flat)[:, None]), sine, 0.9 * flat[:300]) < 1e-3
+
+
+def test_repeated_positions_are_one_centre_of_more_weight() -> None:
+    X = scattered(1500)
+    y = sine(X) + np.random.default_rng(0).normal(0, 0.1, 1500)
+    doubled = Partition.fit(np.concatenate([X, X]), np.concatenate([y, y + 0.2])[:, None], smoothing=0.01)
+    weighted = Partition.fit(X, (y + 0.1)[:, None], smoothing=0.01, weights=np.full(1500, 2.0))
+    Q = scattered(200, 4)
+    np.testing.assert_allclose(np.sort(doubled.weights), np.full(1500, 2.0))
+    np.testing.assert_allclose(doubled.predict(Q), weighted.predict(Q), atol=0.1)
+
+
+@pytest.mark.parametrize(("scale", "shift"), [(1e9, 0.0), (1e-9, 0.0), (1.0, 1e6)])
+def test_units_and_origin_do_not_matter(scale: float, shift: float) -> None:
+    X, Q = scattered(2000), scattered(300, 2)
+    plain = Partition.fit(X, rough(X)[:, None], smoothing=1e-4).predict(Q)
+    moved = Partition.fit(X * scale + shift, 7 * rough(X)[:, None] * scale + shift, smoothing=1e-4)
+    found = (moved.predict(Q * scale + shift) - shift) / scale / 7
+    np.testing.assert_allclose(found, plain, atol=1e-4)
+
+
+def test_outputs_are_fitted_side_by_side() -> None:
+    X, Q = scattered(1500), scattered(100, 2)
+    both = Partition.fit(X, np.stack([sine(X), rough(X)], axis=1), smoothing=1e-6, spread=0.3)
+    one = Partition.fit(X, rough(X)[:, None], smoothing=1e-6, spread=0.3)
+    np.testing.assert_allclose(both.predict(Q)[:, 1:], one.predict(Q), atol=1e-6)
+    x = np.linspace(-1, 1, 20)
+    np.testing.assert_allclose(both.predict_grid(x, x)[:, :, 1:], one.predict_grid(x, x), atol=1e-6)
+    np.testing.assert_allclose(both.predict_gradient(Q)[:, 1:], one.predict_gradient(Q), atol=1e-4)
+    assert both.predict_std(Q).shape == (100, 2)
+
+
+def test_settings_change_the_outcome(surface: Partition) -> None:
+    X = scattered(4000)
+    Q = scattered(50, 2)
+    plain = surface.predict(Q)
+    for fitted in (
+        Partition.fit(X, rough(X)[:, None], spread=0.05),
+        Partition.fit(X, rough(X)[:, None], smoothing=0.5),
+        Partition.fit(X, rough(X)[:, None], weights=np.linspace(0.001, 1, 4000), smoothing=0.1),
+    ):
+        assert np.abs(fitted.predict(Q) - plain).max() > 1e-4
+    assert Partition.fit(X, rough(X)[:, None], spread=0.05).spreads == pytest.approx(0.05)
+
+
+def test_the_same_points_give_the_same_surface(surface: Partition) -> None:
+    X = scattered(4000)
+    again = Partition.fit(X, rough(X)[:, None])
+    np.testing.assert_array_equal(again.coefficients, surface.coefficients)
+
+
+def test_state_is_kept(surface: Partition) -> None:
+    copy = Partition.from_state({name: np.array(value) for name, value in surface.to_state().items()})
+    Q = scattered(100, 8)
+    np.testing.assert_array_equal(copy.predict(Q), surface.predict(Q))
+    np.testing.assert_array_equal(copy.predict_std(Q), surface.predict_std(Q))
+    assert all(value.dtype != object for value in surface.to_state().values())
+
+
+def test_centres_are_the_points(surface: Partition) -> None:
+    X = scattered(4000)
+    found = surface.centers
+    np.testing.assert_allclose(found[np.lexsort(found.T)], X[np.lexsort(X.T)], atol=1e-12)
+    assert surface.spreads.shape == (len(surface), len(surface.kernel.spreads))
+
+
+def test_what_cannot_be_fitted_is_refused() -> None:
+    X = scattered(3000)
+    with pytest.raises(TrainingError, match="MiB"):
+        Partition.fit(X, rough(X)[:, None], memory=1 << 20)
+    with pytest.raises(TrainingError, match="one place"):
+        Partition.fit(np.ones((100, 2)), np.ones((100, 1)))
+
+
+def test_progress_is_told_and_may_cancel() -> None:
+    X = scattered(2000)
+    stages: list[str] = []
+    Partition.fit(X, rough(X)[:, None], tick=lambda stage, _: stages.append(stage))
+    assert list(dict.fromkeys(stages)) == ["cells", "selection", "solve"]
+
+    def stop(stage: str, _: float) -> None:
+        if stage == "solve":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        Partition.fit(X, rough(X)[:, None], tick=stop)
+
+
+@pytest.mark.parametrize("n", [2, 3, 10, 60])
+def test_few_points_are_enough(n: int) -> None:
+    X = scattered(n)
+    fitted = Partition.fit(X, sine(X)[:, None], smoothing=1e-9)
+    np.testing.assert_allclose(fitted.predict(X)[:, 0], sine(X), atol=1e-4)
+
+
+def test_a_constant_stays_constant() -> None:
+    X = scattered(1000)
+    np.testing.assert_allclose(Partition.fit(X, np.full((1000, 1), 3.5)).predict(1.2 * X), 3.5)
+
+
+@pytest.mark.parametrize("kernel", [Kernel.single(1.3), Kernel.mixture(np.array([8.0, 4.0, 2.0, 0.7]), np.ones(4))])
+def test_batched_matrices_and_solutions(kernel: Kernel) -> None:
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-4, 4, (3, 50, 2))
+    points[1, 40:] = local.FAR * (1 + np.arange(10))[:, None]
+    diagonal = rng.uniform(0.1, 0.2, (3, 50))
+    matrix = local.gram(points, diagonal, Levels(kernel), extra=2)
+    right = rng.normal(size=(3, 2, 50))
+    right[1, :, 40:] = 0
+    solution, inner, log_det = local.solve(matrix, right)
+    for p in range(3):
+        k = 40 if p == 1 else 50
+        dense = kernel.gram(points[p, :k]) + np.diag(diagonal[p, :k])
+        expected = np.linalg.solve(dense, right[p, :, :k].T).T
+        np.testing.assert_allclose(solution[p, :, :k], expected, atol=1e-9)
+        np.testing.assert_allclose(inner[p], right[p, :, :k] @ expected.T, atol=1e-8)
+        assert log_det[p] == pytest.approx(np.linalg.slogdet(dense)[1] + np.log(1 + diagonal[p, k:]).sum())
