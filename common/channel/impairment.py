@@ -96,7 +96,18 @@ class PointImpairment(Impairment):
             raise ValueError(f"give exactly one of {self.in_data_units}, relative, snr_db")
         return self
 
-    def strength(self, passage: Passage, columns: list[int]) -> FloatArray:
+    def apply(self, flight: list[Datagram], passage: Passage) -> list[Datagram]:
+        """The datagrams, with their points moved; one that is damaged or carries no points is left alone."""
+        columns = ["xyz".index(axis) for axis in self.axes]
+        strength = self._strength(passage, columns)
+        return [
+            datagram
+            if passage.spares(datagram, self.probability)
+            else self._moved(datagram, columns, strength, passage)
+            for datagram in flight
+        ]
+
+    def _strength(self, passage: Passage, columns: list[int]) -> FloatArray:
         """Strength in data units of each of the `columns` (0, 1, 2 for x, y, z)."""
         if self.absolute is not None:
             return np.full(len(columns), self.absolute)
@@ -109,18 +120,16 @@ class PointImpairment(Impairment):
                 strength = deviation * 10 ** (-(self.snr_db or 0.0) / 20)
         return np.clip(strength, -FLOAT_MAX, FLOAT_MAX)
 
-    def harm(self, datagram: Datagram, passage: Passage) -> Iterable[Datagram]:
-        """The datagram with its points moved; untouched where it is damaged or carries no points."""
+    def _moved(self, datagram: Datagram, columns: list[int], strength: FloatArray, passage: Passage) -> Datagram:
         packet = datagram.intact
         if packet is None or not len(packet.points):
-            return [datagram]
-        columns = ["xyz".index(axis) for axis in self.axes]
+            return datagram
         points = np.array(packet.points if datagram.points is None else datagram.points)
         with np.errstate(over="ignore"):
-            added = self.draw((len(points), len(columns)), passage.rng(datagram)) * self.strength(passage, columns)
+            added = self.draw((len(points), len(columns)), passage.rng(datagram)) * strength
             points[:, columns] = np.clip(points[:, columns] + added, -FLOAT_MAX, FLOAT_MAX)
-        touched = int(np.count_nonzero(np.any(added != 0, axis=1)))
+        touched = int(np.count_nonzero(added.any(axis=1)))
         if not touched:
-            return [datagram]
+            return datagram
         passage.note(datagram, touched, "points")
-        return [replace(datagram, points=points)]
+        return replace(datagram, points=points)

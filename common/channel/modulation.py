@@ -14,7 +14,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-ComplexArray: TypeAlias = npt.NDArray[np.complex128]
+ComplexArray: TypeAlias = npt.NDArray[np.complex64]
 Bits: TypeAlias = npt.NDArray[np.uint8]
 
 Modulation: TypeAlias = Literal["bpsk", "qpsk"]
@@ -23,22 +23,22 @@ BITS_PER_SYMBOL: dict[Modulation, int] = {"bpsk": 1, "qpsk": 2}
 
 def symbols_of(modulation: Modulation, data: bytes) -> ComplexArray:
     """The symbols that carry `data`, shape (8 * len(data) / bits a symbol,), most significant bit first."""
-    antipodal = 1.0 - 2.0 * np.unpackbits(np.frombuffer(data, dtype=np.uint8))
-    symbols: ComplexArray = antipodal.astype(np.complex128) if modulation == "bpsk" else antipodal.view(np.complex128)
+    antipodal = np.float32(1) - np.float32(2) * np.unpackbits(np.frombuffer(data, dtype=np.uint8))
+    symbols: ComplexArray = antipodal.astype(np.complex64) if modulation == "bpsk" else antipodal.view(np.complex64)
     return symbols
 
 
 def detect(modulation: Modulation, received: ComplexArray, gains: ComplexArray) -> Bits:
-    """The bits, 0 or 1, that the receiver decides for, given the gain of each symbol."""
+    """The bits, 0 or 1, that the receiver decides for, given the gain of each symbol, or one of all."""
     aligned = received * gains.conj()
-    components = aligned.real if modulation == "bpsk" else aligned.view(np.float64)
+    components = aligned.real if modulation == "bpsk" else aligned.view(np.float32)
     return (components < 0).astype(np.uint8)
 
 
 def complex_normal(rng: np.random.Generator, count: int, variance: float) -> ComplexArray:
     """`count` circular complex normal values whose squared magnitude has the mean `variance`."""
-    values: ComplexArray = rng.standard_normal(2 * count).view(np.complex128)
-    return values * math.sqrt(variance / 2)
+    values: ComplexArray = rng.standard_normal(2 * count, dtype=np.float32).view(np.complex64)
+    return values * np.float32(math.sqrt(variance / 2))
 
 
 def transmit(
@@ -46,8 +46,8 @@ def transmit(
 ) -> tuple[bytes, int]:
     """`data` as it is received over r = gain * s + n, and the number of wrong bits.
 
-    `gains` has one value a symbol, with a mean squared magnitude of 1, so that `ebn0_db` is the mean ratio of the
-    energy of a bit to the noise density N0; the noise has the variance N0 / 2 in each of its two components.
+    `gains` has one value a symbol, or one for all, with a mean squared magnitude of 1, so that `ebn0_db` is the mean
+    ratio of the energy of a bit to the noise density N0; the noise has the variance N0 / 2 in each of its components.
     """
     symbols = symbols_of(modulation, data)
     noise = complex_normal(rng, len(symbols), variance=10 ** (-ebn0_db / 10))

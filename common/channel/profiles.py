@@ -16,7 +16,7 @@ class Profile:
 
 PROFILES: dict[str, Profile] = {
     "lora": Profile(
-        channel="erasure:p=0.15;rate:bits_per_second=250",
+        channel="rate:bits_per_second=250;erasure:p=0.15",
         summary="LoRa, spreading factor 12 at 125 kHz, 14 dBm, 2 to 5 km over ground. Choose datagrams of 64 bytes: at "
         "this rate a frame takes at most 51 bytes of LoRaWAN payload.",
         source="Loss: Petäjäjärvi, Mikhaylov, Roivainen, Hänninen, Pettissalo, 'On the coverage of LPWANs: range "
@@ -24,13 +24,13 @@ PROFILES: dict[str, Profile] = {
         "at 2 to 5 km). Rate: LoRa Alliance, 'LoRaWAN 1.0.3 Regional Parameters', EU863-870, data rate 0.",
     ),
     "geostationary": Profile(
-        channel="bit_errors:ber=1e-07;delay:seconds=0.279",
+        channel="delay:seconds=0.279;bit_errors:ber=1e-07",
         summary="One hop over a geostationary satellite, from the edge of its view.",
         source="RFC 2488, 'Enhancing TCP over satellite channels using standard mechanisms', section 2: 279.0 ms a hop "
         "at the edge of the view (239.6 ms below the satellite), bit-error rates of 1e-7 or less.",
     ),
     "underwater": Profile(
-        channel="rayleigh:ebn0_db=20;rate:bits_per_second=5000;delay:seconds=1.57",
+        channel="rate:bits_per_second=5000;delay:seconds=1.57;rayleigh:ebn0_db=20",
         summary="An acoustic modem at the bottom of 2,362 m of water and a buoy above it; the gain fades from packet "
         "to packet.",
         source="Rate and depth: Frye, Ware, Grund, Partan, Koski, Singh, Freitag, Collins, Detrick, 'An "
@@ -39,7 +39,7 @@ PROFILES: dict[str, Profile] = {
         "Communications Magazine 47 (1), 2009, which also discusses Rayleigh fading. A choice: 20 dB, no coding.",
     ),
     "wifi": Profile(
-        channel="gilbert_elliott:p=0.01836,r=0.1746;rate:bits_per_second=1000000",
+        channel="rate:bits_per_second=1000000;gilbert_elliott:p=0.01836,r=0.1746",
         summary="Wi-Fi at 2.4 GHz, frames to a group (never acknowledged, so never sent again) of 256 bytes at 1 "
         "Mbit/s to a walker in the fringe: 10 dB of fading margin, 9.5 % lost in bursts of 5.7.",
         source="Zorzi, Rao and Milstein, 'On the accuracy of a first-order Markov model for data transmission on "

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from common.channel.datagram import Datagram
 from common.channel.impairment import Impairment
-from common.channel.modulation import Modulation, symbol_count, transmit
+from common.channel.modulation import Modulation, transmit
 from common.channel.passage import Passage
 
 
@@ -27,8 +27,8 @@ class Awgn(Impairment):
 
     def harm(self, datagram: Datagram, passage: Passage) -> Iterable[Datagram]:
         """The datagram as it was detected."""
-        gains = np.ones(symbol_count(self.modulation, datagram.data), dtype=np.complex128)
-        data, wrong = transmit(self.modulation, datagram.data, gains, self.ebn0_db, passage.rng(datagram))
+        gain = np.ones(1, dtype=np.complex64)
+        data, wrong = transmit(self.modulation, datagram.data, gain, self.ebn0_db, passage.rng(datagram))
         if not wrong:
             return [datagram]
         passage.note(datagram, wrong, "bits")

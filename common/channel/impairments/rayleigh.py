@@ -33,9 +33,13 @@ class Rayleigh(Impairment):
 
     def harm(self, datagram: Datagram, passage: Passage) -> Iterable[Datagram]:
         """The datagram as it was detected."""
-        rng, count = passage.rng(datagram), symbol_count(self.modulation, datagram.data)
-        block = max(count, 1) if self.coherence == "packet" else self.coherence
-        gains = np.repeat(complex_normal(rng, -(-count // block), variance=1.0), min(block, max(count, 1)))[:count]
+        rng = passage.rng(datagram)
+        if self.coherence == "packet":
+            gains = complex_normal(rng, 1, variance=1.0)
+        else:
+            count = symbol_count(self.modulation, datagram.data)
+            blocks = complex_normal(rng, -(-count // self.coherence), variance=1.0)
+            gains = np.repeat(blocks, min(self.coherence, count))[:count]
         data, wrong = transmit(self.modulation, datagram.data, gains, self.ebn0_db, rng)
         if not wrong:
             return [datagram]
