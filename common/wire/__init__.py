@@ -1,5 +1,6 @@
 """FeatureSet <-> packets <-> bytes, sans-IO. The format is specified in docs/wire.md."""
 
+from common.wire.cost import Cost, cost
 from common.wire.decoder import PacketDecoder
 from common.wire.encoder import encode
 from common.wire.framing import MEDIA_TYPE, MEDIA_TYPES, split
@@ -12,10 +13,12 @@ __all__ = [
     "MEDIA_TYPE",
     "MEDIA_TYPES",
     "Arrival",
+    "Cost",
     "Packet",
     "PacketDecoder",
     "Reassembly",
     "WireOptions",
+    "cost",
     "encode",
     "repack",
     "split",

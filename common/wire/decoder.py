@@ -9,27 +9,28 @@ from __future__ import annotations
 import re
 import zlib
 from collections.abc import Sequence
-from itertools import accumulate, groupby, pairwise
+from itertools import groupby
 from typing import NamedTuple
 
-import numpy as np
-
 from common.errors import LimitError, PacketError
-from common.wire.framing import EXTENSION, MIN_PAYLOAD
+from common.wire import inner
+from common.wire.framing import CODED_EXTENSION, EXTENSION, MIN_PAYLOAD
+from common.wire.gaps import Gaps
 from common.wire.header import Header
 from common.wire.limits import (
-    DEFAULT_DATAGRAM,
     FALSE_START_GRACE,
     MAX_BODY,
     MAX_FALSE_STARTS,
-    MAX_POINTS_PER_PACKET,
 )
 from common.wire.numbers import Reader
 from common.wire.packet import CRC_BYTES, NO_POINTS, Packet
-from common.wire.plain import point_bits, read_points
+from common.wire.points import check_block, decode_packets
 
 _EXT8 = 0xC7
-_START = re.compile(rb"\xc7[\x%02x-\xff]\x%02x|\xc8..\x%02x" % (MIN_PAYLOAD, EXTENSION, EXTENSION), re.DOTALL)
+_START = re.compile(
+    b"(?:\xc7[%c-\xff]|\xc8..)[%c%c]" % (MIN_PAYLOAD, EXTENSION, CODED_EXTENSION),
+    re.DOTALL,
+)
 _LONGEST_START = 4
 
 
@@ -57,19 +58,24 @@ class PacketDecoder:
         self._closed = False
         self._fed = 0
         self._checked_in_vain = 0
-        self._gaps = [0]
+        self._gaps = Gaps()
         self._malformed = 0
         self._longest = 0
+        self._corrected = 0
         self._last: tuple[bytes, bytes, Header] | None = None
 
     @property
     def damaged(self) -> int:
-        """Packets that were found damaged.
+        """Packets that were found damaged and could not be corrected.
 
         A run of bytes that is no packet counts as one, or as many as the longest intact packet goes into it.
         """
-        unit = self._longest or DEFAULT_DATAGRAM
-        return self._malformed + sum(max(1, round(gap / unit)) for gap in self._gaps if gap)
+        return self._malformed + self._gaps.count(self._longest)
+
+    @property
+    def corrected(self) -> int:
+        """Packets that were damaged and are intact thanks to the inner code; they come with `close`."""
+        return self._corrected
 
     def feed(self, data: bytes) -> list[Packet]:
         """Take more bytes; return the packets that they complete."""
@@ -84,13 +90,29 @@ class PacketDecoder:
     def close(self) -> list[Packet]:
         """Say that no more bytes come; return the packets that could still be found."""
         self._closed = True
-        return self._packets()
+        packets = self._packets()
+        corrected: list[_Found] = []
+        self._gaps.correct(lambda datagram: self._accept(datagram, corrected), guess=not self._longest)
+        self._corrected += len(corrected)
+        return packets + self._decode_all(corrected)
 
     def _packets(self) -> list[Packet]:
         with memoryview(self._buffer) as view:
             found = self._scan(view)
         del self._buffer[: self._position]
         self._position = 0
+        return self._decode_all(found)
+
+    def _accept(self, datagram: bytes, found: list[_Found]) -> bool:
+        """Take a corrected datagram if it passes its checksum."""
+        match = _START.match(datagram)
+        payload = inner.payload_of(memoryview(datagram)) if match and _is_coded(datagram, match.end()) else None
+        if payload is None or not _passes(payload):
+            return False
+        self._take(bytes(payload), found)
+        return True
+
+    def _decode_all(self, found: Sequence[_Found]) -> list[Packet]:
         packets = []
         for _, run in groupby(found, key=lambda item: (id(item.header), item.has_points)):
             packets.extend(self._decode(list(run)))
@@ -100,38 +122,50 @@ class PacketDecoder:
         found: list[_Found] = []
         end = len(view)
         while match := _START.search(view, self._position):
-            self._skip_to(match.start())
-            first, payload = match.span()
+            first, start = match.span()
+            self._skip_to(first, view)
             length = view[first + 1] if view[first] == _EXT8 else int.from_bytes(view[first + 1 : first + 3], "big")
-            stop = payload + length
+            stop = start + length
             if stop > end and not self._closed:
                 return found
-            if stop > end or length < MIN_PAYLOAD or not self._intact(view[payload:stop]):
-                self._skip_to(first + 1)
+            payload = self._intact(view[first:stop], start - first) if stop <= end and length >= MIN_PAYLOAD else None
+            if payload is None:
+                self._skip_to(first + 1, view)
                 continue
-            if self._gaps[-1]:
-                self._gaps.append(0)
+            if _is_coded(view, start):
+                stop = first + inner.end_of(view[first:stop])
+            self._gaps.end()
             self._position = stop
             self._longest = max(self._longest, stop - first)
-            try:
-                found.append(self._parse(bytes(view[payload : stop - CRC_BYTES])))
-            except PacketError:
-                self._malformed += 1
+            self._take(payload, found)
         # The start of a packet may be cut in two by the end of what was fed.
-        self._skip_to(max(self._position, end if self._closed else end - _LONGEST_START + 1))
+        self._skip_to(max(self._position, end if self._closed else end - _LONGEST_START + 1), view)
         return found
 
-    def _skip_to(self, position: int) -> None:
-        self._gaps[-1] += position - self._position
+    def _skip_to(self, position: int, view: memoryview) -> None:
+        self._gaps.extend(view[self._position : position])
         self._position = position
 
-    def _intact(self, payload: memoryview) -> bool:
-        if zlib.crc32(payload[:-CRC_BYTES]) == int.from_bytes(payload[-CRC_BYTES:], "big"):
-            return True
+    def _intact(self, datagram: memoryview, start: int) -> bytes | None:
+        """The payload of what looks like a datagram, framed by its first `start` bytes; None if it is damaged."""
+        payload: memoryview | None = datagram[start:]
+        if _is_coded(datagram, start):
+            self._gaps.vote(datagram)
+            payload = inner.payload_of(datagram)
+        if payload is None:
+            return None
+        if _passes(payload):
+            return bytes(payload)
         self._checked_in_vain += len(payload)
         if self._checked_in_vain > MAX_FALSE_STARTS * self._fed + FALSE_START_GRACE:
             raise LimitError("the body is full of false starts of packets")
-        return False
+        return None
+
+    def _take(self, payload: bytes, found: list[_Found]) -> None:
+        try:
+            found.append(self._parse(payload[:-CRC_BYTES]))
+        except PacketError:
+            self._malformed += 1
 
     def _parse(self, payload: bytes) -> _Found:
         lead, reader = payload[:2], Reader(payload, 2)
@@ -147,28 +181,22 @@ class PacketDecoder:
         header.check_number(number)
         found = _Found(header, number, payload[start:])
         if found.has_points:
-            _check_block(header, found.block)
+            check_block(header, found.block)
         return found
 
     def _decode(self, run: Sequence[_Found]) -> list[Packet]:
-        """Packets that share one header object, decoded at once; those with points that are not finite are damaged."""
+        """Packets that share one header object, decoded at once."""
+        header = run[0].header
         if not run[0].has_points:
-            return [Packet(header, number, NO_POINTS, block) for header, number, block in run]
-        points, sizes = read_points([item.block for item in run], run[0].header)
-        points.setflags(write=False)
-        packets = [
-            Packet(header, number, points[a:b], block)
-            for (header, number, block), (a, b) in zip(run, pairwise(accumulate(sizes, initial=0)), strict=True)
-        ]
-        if np.all(np.isfinite(points)):
-            return packets
-        finite = [packet for packet in packets if np.all(np.isfinite(packet.points))]
-        self._malformed += len(packets) - len(finite)
-        return finite
+            return [Packet(header, number, NO_POINTS, block) for _, number, block in run]
+        packets = decode_packets(header, [(number, block) for _, number, block in run])
+        self._malformed += len(run) - len(packets)
+        return packets
 
 
-def _check_block(header: Header, block: bytes) -> None:
-    width = point_bits(header)
-    count = 8 * len(block) // width
-    if not 0 < count <= MAX_POINTS_PER_PACKET or len(block) != -(-count * width // 8):
-        raise PacketError(f"the points of a packet are no whole number of {width} bits")
+def _is_coded(datagram: bytes | memoryview, start: int) -> bool:
+    return datagram[start - 1] == CODED_EXTENSION
+
+
+def _passes(payload: memoryview) -> bool:
+    return zlib.crc32(payload[:-CRC_BYTES]) == int.from_bytes(payload[-CRC_BYTES:], "big")

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from common.errors import LimitError, ParameterError
 from common.surface import FeatureSet, FloatArray, IntArray
-from common.wire.framing import framing_bytes
+from common.wire import inner
+from common.wire.erasure import SYMBOL_OVERHEAD, parity_blocks
+from common.wire.framing import frame, framing_bytes
 from common.wire.header import Form, Grid, Header, transmission_tag
 from common.wire.limits import MAX_PACKETS, MAX_POINTS, MAX_POINTS_PER_PACKET
 from common.wire.numbers import Interval, write_varint
 from common.wire.options import WireOptions
-from common.wire.packet import CRC_BYTES, write_datagrams
+from common.wire.packet import CRC_BYTES, write_payloads
 from common.wire.plain import point_bits, write_points
 
 STEPS_PER_DISTANCE = 512
@@ -41,33 +44,55 @@ def encode(features: FeatureSet, *, transmission: str, options: WireOptions | No
     options = options or WireOptions()
     if len(features) > MAX_POINTS:
         raise LimitError(f"{len(features)} points; a transmission carries at most {MAX_POINTS}")
-    header, count = _plan(features, transmission, options)
-    points, sizes = _deal(features.points[_along_curve(features)], count)
-    return write_datagrams(header, write_points(points, sizes, header))
+    return protect_blocks(*write_blocks(features, transmission, options), options)
 
 
-def _plan(features: FeatureSet, transmission: str, options: WireOptions) -> tuple[Header, int]:
-    """The header, and the number of packets with which every datagram is short enough."""
+def write_blocks(features: FeatureSet, transmission: str, options: WireOptions) -> tuple[Header, list[bytes]]:
+    """The header of a transmission and the points of each of its packets, not yet protected."""
+    header = _plan(features, transmission, options)
+    points, sizes = _deal(features.points[_along_curve(features)], header.total)
+    return header, write_points(points, sizes, header)
+
+
+def protect_blocks(header: Header, blocks: Sequence[bytes], options: WireOptions) -> list[bytes]:
+    """The datagrams: parity, copies and the inner code added to `blocks` as the options say."""
+    parity = parity_blocks(blocks, header.parity) if header.parity else []
+    payloads = [
+        payload
+        for copy in range(options.copies)
+        for payload in write_payloads(header, [*blocks, *parity], copy * header.period)
+    ]
+    return inner.protect(payloads, options.inner) if options.inner else [frame(payload) for payload in payloads]
+
+
+def _plan(features: FeatureSet, transmission: str, options: WireOptions) -> Header:
+    """The header, with the number of packets that keeps every datagram short enough."""
+    room = (
+        inner.room(options.datagram, options.inner)
+        if options.inner
+        else options.datagram - framing_bytes(options.datagram)
+    )
     form, grid = _form(features, options)
     n = len(features)
     count = min(options.min_packets, n)
     while count <= MAX_PACKETS:
         header = Header(
             transmission_tag(transmission), count, features.region, form, features.gap, features.kind, features.units,
-            grid=grid,
+            parity=math.ceil(options.parity * count), grid=grid,
         )  # fmt: skip
-        spent = (
-            framing_bytes(options.datagram) + 2 + len(write_varint(header.period - 1)) + len(header.rest()) + CRC_BYTES
-        )
-        room = 8 * (options.datagram - spent) // point_bits(header)
-        if room < 1:
-            least = spent + -(-point_bits(header) // 8)
+        number = write_varint(options.copies * header.period - 1)
+        spent = len(header.lead()) + len(number) + len(header.rest()) + CRC_BYTES
+        spent += SYMBOL_OVERHEAD if header.parity else 0
+        fitting = 8 * (room - spent) // point_bits(header)
+        if fitting < 1:
+            least = options.datagram - room + spent + -(-point_bits(header) // 8)
             raise ParameterError(
-                f"no point fits into a datagram of {options.datagram} bytes; with these coordinates it takes {least}"
+                f"no point fits into a datagram of {options.datagram} bytes; with these coordinates and this "
+                f"protection it takes {least}"
             )
-        needed = max(-(-n // min(room, MAX_POINTS_PER_PACKET)), count)
+        needed = max(-(-n // min(fitting, MAX_POINTS_PER_PACKET)), count)
         if needed == count:
-            return header, count
+            return header
         count = needed
     raise LimitError(
         f"{n} points take more than {MAX_PACKETS} packets of {options.datagram} bytes; choose longer datagrams"

@@ -16,17 +16,20 @@ MEDIA_TYPES = frozenset({MEDIA_TYPE, "application/msgpack", "application/x-msgpa
 EXTENSION = 0x53
 """The extension type of a packet; with the length before it, its magic."""
 
+CODED_EXTENSION = 0x54
+"""The extension type of a packet in the inner code."""
+
 MIN_PAYLOAD = 17
 """Bytes. A header and a point are longer; below 17 msgpack has other, shorter framings, which are so never needed."""
 
 MAX_PAYLOAD = 0xFFFF
 
 
-def frame(payload: bytes) -> bytes:
+def frame(payload: bytes, extension: int = EXTENSION) -> bytes:
     """The datagram that carries `payload`; raises PacketError where it is too short or too long."""
     if not MIN_PAYLOAD <= len(payload) <= MAX_PAYLOAD:
         raise PacketError(f"a packet of {len(payload)} bytes; accepted are {MIN_PAYLOAD} to {MAX_PAYLOAD}")
-    packed: bytes = msgpack.packb(msgpack.ExtType(EXTENSION, payload))
+    packed: bytes = msgpack.packb(msgpack.ExtType(extension, payload))
     return packed
 
 
@@ -59,7 +62,7 @@ def split(body: bytes) -> list[bytes]:
         except (msgpack.UnpackException, ValueError) as error:
             raise WireError(f"the body is no run of packets: at byte {start}, {_reason(error)}") from error
         end = unpacker.tell()
-        if not isinstance(extension, msgpack.ExtType) or extension.code != EXTENSION:
+        if not isinstance(extension, msgpack.ExtType) or extension.code not in (EXTENSION, CODED_EXTENSION):
             raise WireError(f"the body is no run of packets: at byte {start} stands another msgpack object")
         datagrams.append(body[start:end])
         start = end

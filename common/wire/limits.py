@@ -29,6 +29,9 @@ MAX_BODY = 128 * 1024 * 1024
 MAX_COPIES = 8
 """Times a packet is sent; a link that needs more is better served by parity or by asking again."""
 
+MAX_PARITY = 2.0
+"""Packets of parity for each with points; beyond, copies do as well."""
+
 MIN_BITS = 2
 MAX_BITS = 32
 """Bits of a quantised coordinate. Beyond 32, float64 is as short."""
@@ -39,6 +42,10 @@ MAX_FALSE_STARTS = 32
 A look-alike of a packet's start claims a length, and the checksum over that length has to be computed to refute it. In
 noise one byte in 32,768 starts a look-alike; only a body made to be slow comes near to this bound.
 """
+
+MAX_CORRECTION_WORK = 2**18
+"""Bytes of parity that a decoder works through to correct damaged datagrams of the inner code: 4,096 code words with 64
+bytes of parity each, which is a megabyte of datagrams and takes most of a second. What is beyond counts as damaged."""
 
 FALSE_START_GRACE = 1024 * 1024
 """Bytes, see `MAX_FALSE_STARTS`: keeps short bodies clear of the bound whatever they hold."""

@@ -6,7 +6,17 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from common.wire.limits import DEFAULT_DATAGRAM, MAX_BITS, MAX_DATAGRAM, MAX_PACKETS, MIN_BITS, MIN_DATAGRAM
+from common.wire.inner import Strength
+from common.wire.limits import (
+    DEFAULT_DATAGRAM,
+    MAX_BITS,
+    MAX_COPIES,
+    MAX_DATAGRAM,
+    MAX_PACKETS,
+    MAX_PARITY,
+    MIN_BITS,
+    MIN_DATAGRAM,
+)
 
 Bits: TypeAlias = Annotated[int, Field(ge=MIN_BITS, le=MAX_BITS)]
 Precision: TypeAlias = Literal["float64", "float32"] | Bits
@@ -33,5 +43,16 @@ class WireOptions(BaseModel):
         ge=1,
         le=MAX_PACKETS,
         description="Spread the points over this many packets at least (where there are as many points).",
+    )
+    parity: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=MAX_PARITY,
+        description="Packets of parity as a share of those with points: so many may be lost without loss of points.",
+    )
+    copies: int = Field(default=1, ge=1, le=MAX_COPIES, description="How often each packet is sent.")
+    inner: Literal[0] | Strength = Field(
+        default=0,
+        description="Bytes of Reed-Solomon parity in each 255 of a datagram; half as many wrong bytes are corrected.",
     )
     coding: Literal["plain"] = Field(default="plain", description="How the points of a packet are written.")

@@ -89,14 +89,14 @@ class Packet:
         return self.header.units
 
 
-def write_datagrams(header: Header, blocks: Sequence[bytes], start: int = 0) -> list[bytes]:
-    """The datagrams numbered from `start` that carry `blocks`."""
+def write_payloads(header: Header, blocks: Sequence[bytes], start: int = 0) -> list[bytes]:
+    """The payloads, checksum included, of the packets numbered from `start` that carry `blocks`."""
     lead, rest = header.lead(), header.rest()
-    datagrams = []
+    payloads = []
     for number, block in enumerate(blocks, start):
         payload = lead + write_varint(number) + rest + block
-        datagrams.append(frame(payload + zlib.crc32(payload).to_bytes(CRC_BYTES, "big")))
-    return datagrams
+        payloads.append(payload + zlib.crc32(payload).to_bytes(CRC_BYTES, "big"))
+    return payloads
 
 
 def repack(packet: Packet, points: npt.ArrayLike) -> bytes:
@@ -110,4 +110,4 @@ def repack(packet: Packet, points: npt.ArrayLike) -> bytes:
     if packet.is_parity:
         raise PacketError("a packet of parity carries no points")
     header, array = packet.header.as_altered(), as_points(points)
-    return write_datagrams(header, write_points(array, [len(array)], header), packet.number)[0]
+    return frame(write_payloads(header, write_points(array, [len(array)], header), packet.number)[0])

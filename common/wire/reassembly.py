@@ -6,17 +6,22 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from common.errors import ConflictError, LimitError, NotReadyError
+from common.errors import ConflictError, LimitError, NotReadyError, PacketError
 from common.surface import FeatureSet
+from common.wire.erasure import groups, rebuild
 from common.wire.header import Header, transmission_tag
 from common.wire.limits import MAX_POINTS
 from common.wire.packet import Packet
+from common.wire.points import check_block, decode_packets
 
 Arrival: TypeAlias = Literal["new", "duplicate", "foreign"]
 
 
 class Reassembly:
     """What arrived of one transmission.
+
+    Packets that were lost are rebuilt from packets of parity as soon as enough of both are here. Whatever is asked for,
+    the answer does not depend on the order in which the packets came.
 
     Parameters
     ----------
@@ -28,12 +33,13 @@ class Reassembly:
         self._tag = transmission_tag(transmission)
         self._header: Header | None = None
         self._arrived: dict[int, Packet] = {}
+        self._parity: dict[int, Packet] = {}
+        self._rebuilt: dict[int, Packet] = {}
         self._points = 0
+        self._unsettled: set[int] = set()
 
     def add(self, packet: Packet) -> Arrival:
         """Take a packet; say what it was.
-
-        Which of several copies of a packet is kept does not depend on the order in which they come.
 
         Raises
         ------
@@ -45,25 +51,29 @@ class Reassembly:
         """
         if packet.tag != self._tag:
             return "foreign"
-        if self._header is None:
+        header = self._header
+        if header is None:
             self._header = packet.header
-        elif self._header is not packet.header:
-            _require_agreement(self._header, packet.header)
-            if self._header.altered and not packet.header.altered:
+        elif header is not packet.header:
+            _require_agreement(header, packet.header)
+            # What was altered no longer says how the points were written.
+            if header.altered:
                 self._header = packet.header
-        known = self._arrived.get(packet.sequence)
-        if known is None:
-            if self._points + len(packet.points) > MAX_POINTS:
+        store = self._parity if packet.is_parity else self._arrived
+        known = store.get(packet.sequence)
+        if known is None or _rank(packet) < _rank(known):
+            points = self._points + len(packet.points) - (len(known.points) if known else 0)
+            if points > MAX_POINTS:
                 raise LimitError(f"more than {MAX_POINTS} points in one transmission")
-            self._points += len(packet.points)
-            self._arrived[packet.sequence] = packet
-            return "new"
-        if not known.header.altered and not packet.header.altered and known.block != packet.block:
-            raise ConflictError(f"two packets are number {packet.sequence} of the transmission, with other points each")
-        if _rank(packet) < _rank(known):
-            self._points += len(packet.points) - len(known.points)
-            self._arrived[packet.sequence] = packet
-        return "duplicate"
+        if known is not None:
+            _require_same_points(known, packet)
+            if _rank(known) <= _rank(packet):
+                return "duplicate"
+        self._points = points
+        store[packet.sequence] = packet
+        if packet.header.parity:
+            self._unsettled.add(packet.sequence)
+        return "new" if known is None else "duplicate"
 
     @property
     def total(self) -> int | None:
@@ -72,38 +82,87 @@ class Reassembly:
 
     @property
     def received(self) -> int:
-        """Packets with points that are here."""
-        return len(self._with_points())
+        """Packets with points that arrived."""
+        return len(self._arrived)
+
+    @property
+    def rebuilt(self) -> int:
+        """Packets with points that did not arrive and were rebuilt from parity."""
+        return len(self._settle())
+
+    @property
+    def parity_received(self) -> int:
+        """Packets with parity that arrived."""
+        return len(self._parity)
 
     @property
     def missing(self) -> tuple[int, ...]:
         """Sequence numbers of the packets with points that are not here, ascending."""
-        return tuple(i for i in range(self.total or 0) if i not in self._arrived)
+        rebuilt = self._settle()
+        return tuple(i for i in range(self.total or 0) if i not in self._arrived and i not in rebuilt)
 
     @property
     def complete(self) -> bool:
         """Whether every packet with points is here."""
-        return self.total is not None and self.received == self.total
+        return self._header is not None and len(self._arrived) + len(self._settle()) == self._header.total
 
     @property
     def points(self) -> int:
         """Points that are here."""
-        return self._points
+        return self._points + sum(len(packet.points) for packet in self._settle().values())
 
     def features(self) -> FeatureSet:
         """The features that are here, in the order of their packets; raises NotReadyError where there are none."""
-        arrived = self._with_points()
-        if not arrived or self._header is None:
+        here = self._arrived | self._settle()
+        if not here or self._header is None:
             raise NotReadyError("no packet with points has arrived yet")
-        points = np.concatenate([arrived[i].points for i in sorted(arrived)])
+        points = np.concatenate([here[i].points for i in sorted(here)])
         header = self._header
         return FeatureSet(points, header.region, header.gap, header.kind, header.units)
 
-    def _with_points(self) -> dict[int, Packet]:
-        return {i: packet for i, packet in self._arrived.items() if not packet.is_parity}
+    def _settle(self) -> dict[int, Packet]:
+        """The packets that could be rebuilt."""
+        if self._unsettled and self._header is not None:
+            header, count = self._header, groups(self._header.total, self._header.parity)
+            for group in sorted({self._group(sequence, count) for sequence in self._unsettled}):
+                self._rebuild(header, group, count)
+            self._unsettled.clear()
+        return self._rebuilt
+
+    def _group(self, sequence: int, count: int) -> int:
+        total = self._header.total if self._header else 0
+        return (sequence if sequence < total else sequence - total) % count
+
+    def _rebuild(self, header: Header, group: int, count: int) -> None:
+        members = range(group, header.total, count)
+        for sequence in members:
+            self._rebuilt.pop(sequence, None)
+        # Points that were altered on the way are no longer those that the parity was made of.
+        blocks = {
+            i: self._arrived[i].block for i in members if i in self._arrived and not self._arrived[i].header.altered
+        }
+        parities = {
+            place: self._parity[header.total + place].block
+            for place in range(group, header.parity, count)
+            if header.total + place in self._parity
+        }
+        if not parities or len(blocks) + len(parities) < len(members):
+            return
+        original = next(iter(self._parity.values())).header
+        try:
+            found = rebuild(header.total, header.parity, group, blocks, parities)
+            lost = [(sequence, block) for sequence, block in found.items() if sequence not in self._arrived]
+            for _, block in lost:
+                check_block(original, block)
+            packets = decode_packets(original, lost)
+        except PacketError:
+            # What arrived does not fit together. What arrived intact stays usable, the rest stays missing.
+            return
+        self._rebuilt |= {packet.sequence: packet for packet in packets}
 
 
 def _rank(packet: Packet) -> tuple[bool, int, bytes]:
+    """Which of several copies is kept: unaltered ones first, then the first sent."""
     return packet.header.altered, packet.number, packet.block
 
 
@@ -115,3 +174,8 @@ def _require_agreement(known: Header, other: Header) -> None:
         )
     if not known.altered and not other.altered and (known.form, known.grid) != (other.form, other.grid):
         raise ConflictError("a packet writes its points in another form than those before it")
+
+
+def _require_same_points(known: Packet, other: Packet) -> None:
+    if not known.header.altered and not other.header.altered and known.block != other.block:
+        raise ConflictError(f"two packets are number {other.sequence} of the transmission, with other points each")
