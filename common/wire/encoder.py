@@ -57,11 +57,7 @@ def write_blocks(features: FeatureSet, transmission: str, options: WireOptions) 
 def protect_blocks(header: Header, blocks: Sequence[bytes], options: WireOptions) -> list[bytes]:
     """The datagrams: parity, copies and the inner code added to `blocks` as the options say."""
     parity = parity_blocks(blocks, header.parity) if header.parity else []
-    payloads = [
-        payload
-        for copy in range(options.copies)
-        for payload in write_payloads(header, [*blocks, *parity], copy * header.period)
-    ]
+    payloads = write_payloads(header, [*blocks, *parity] * options.copies)
     return inner.protect(payloads, options.inner) if options.inner else [frame(payload) for payload in payloads]
 
 

@@ -99,6 +99,11 @@ def write_payloads(header: Header, blocks: Sequence[bytes], start: int = 0) -> l
     return payloads
 
 
+def write_datagrams(header: Header, blocks: Sequence[bytes], start: int = 0) -> list[bytes]:
+    """The datagrams, without an inner code, of the packets numbered from `start` that carry `blocks`."""
+    return [frame(payload) for payload in write_payloads(header, blocks, start)]
+
+
 def repack(packet: Packet, points: npt.ArrayLike) -> bytes:
     """A datagram with the header of `packet` and other points, shape (k, 3).
 
@@ -110,4 +115,4 @@ def repack(packet: Packet, points: npt.ArrayLike) -> bytes:
     if packet.is_parity:
         raise PacketError("a packet of parity carries no points")
     header, array = packet.header.as_altered(), as_points(points)
-    return frame(write_payloads(header, write_points(array, [len(array)], header), packet.number)[0])
+    return write_datagrams(header, write_points(array, [len(array)], header), packet.number)[0]
