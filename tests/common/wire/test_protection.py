@@ -72,7 +72,7 @@ def test_a_word_beyond_repair_is_said_to_be_one() -> None:
     assert np.array_equal(corrected, noise)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(1, 40), st.integers(1, 40), st.data())
 def test_any_k_of_n_rebuild_all(total: int, parity: int, data: st.DataObject) -> None:
     blocks = [data.draw(st.binary(min_size=1, max_size=30)) for _ in range(total)]
