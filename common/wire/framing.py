@@ -16,8 +16,8 @@ MEDIA_TYPES = frozenset({MEDIA_TYPE, "application/msgpack", "application/x-msgpa
 EXTENSION = 0x53
 """The extension type of a packet; with the length before it, its magic."""
 
-CODED_EXTENSION = 0x54
-"""The extension type of a packet in the inner code."""
+CODED_EXTENSION = 0x2C
+"""The extension type of a packet in the inner code; seven bits away from the other."""
 
 MIN_PAYLOAD = 17
 """Bytes. A header and a point are longer; below 17 msgpack has other, shorter framings, which are so never needed."""

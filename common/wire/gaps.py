@@ -17,7 +17,8 @@ MAX_SHAPES = 3
 """Shapes of coded datagrams tried on a body: the true one has most votes by far; the others allow for look-alikes."""
 
 MAX_GUESSED_PARTS = 8
-"""Datagrams that a run without one legible start is tried to be cut into."""
+MAX_WRONG_BITS = 6
+"""Wrong bits in the first bytes of what is still taken for a coded datagram: a packet that is not coded has seven."""
 
 
 class Gaps:
@@ -60,8 +61,8 @@ class Gaps:
         accept : callable
             Takes a corrected datagram if it passes its checksum, and says whether it did.
         guess : bool
-            Where no start is legible, cut a run into up to `MAX_GUESSED_PARTS` equal parts of any strength. Sensible
-            where the body held no intact packet, as one short message may.
+            Where no start is legible, try whether a run is up to `MAX_GUESSED_PARTS` datagrams of one length whose
+            start is only nearly legible. Sensible where the body held no intact packet, as one short message may.
         """
         shapes = [shape for shape, _ in self._votes.most_common(MAX_SHAPES)]
         for run in self._runs:
@@ -69,7 +70,7 @@ class Gaps:
             for shape in shapes:
                 self._correct_run(run, shape, taken, accept)
             if guess and not taken.any():
-                for shape in _guesses(len(run)):
+                for shape in _guesses(run):
                     self._correct_run(run, shape, taken, accept)
             edges = np.flatnonzero(np.diff(taken, prepend=True, append=True))
             self._leftovers += np.diff(edges)[::2].tolist()
@@ -107,7 +108,10 @@ def _starts(run: bytearray, shape: Shape) -> list[int]:
     return sorted(starts)
 
 
-def _guesses(length: int) -> Iterable[Shape]:
+def _guesses(run: bytearray) -> Iterable[Shape]:
     for parts in range(1, MAX_GUESSED_PARTS + 1):
-        if length % parts == 0:
-            yield from inner.shapes_of_size(length // parts)
+        for shape in inner.shapes_of_size(len(run) // parts) if len(run) % parts == 0 else []:
+            prefix = inner.prefix(shape)
+            wrong = int.from_bytes(prefix, "big") ^ int.from_bytes(run[: len(prefix)], "big")
+            if wrong.bit_count() <= MAX_WRONG_BITS:
+                yield shape

@@ -7,7 +7,7 @@ is done for all of them. With r bytes of parity, up to r / 2 wrong bytes of a wo
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,10 @@ MAX_WORD = 255
 """Bytes of a code word, parity included."""
 
 BATCH = 256
-"""Words worked on at once: the arrays stay within a core's cache."""
+"""Words worked on at once."""
+
+PRODUCTS = 2**18
+"""Products made at once: they stay within a core's cache."""
 
 
 @cache
@@ -60,8 +63,9 @@ def _correct(words: ByteArray, parity: int) -> tuple[ByteArray, npt.NDArray[np.b
     locator, degree = _berlekamp_massey(syndromes)
     n = words.shape[1]
     # Byte i of a word belongs to x^(n - 1 - i); it is wrong where the locator has the root x^-(n - 1 - i).
-    roots = powers()[(ORDER - np.arange(n - 1, -1, -1)) % ORDER]
-    wrong = _evaluate(locator, roots) == 0
+    places = range(1 - n, 1)
+    roots = powers()[np.asarray(places) % ORDER]
+    wrong = _evaluate(locator, places) == 0
     solvable = (degree <= parity // 2) & (np.count_nonzero(wrong, axis=1) == degree)
     # Forney: the error is x * omega(1/x) / locator'(1/x), with omega = syndromes * locator mod x^parity.
     omega = np.zeros_like(syndromes)
@@ -69,27 +73,33 @@ def _correct(words: ByteArray, parity: int) -> tuple[ByteArray, npt.NDArray[np.b
         omega[:, j:] ^= multiply(locator[:, j : j + 1], syndromes[:, : parity - j])
     derivative = locator[:, 1:].copy()
     derivative[:, 1::2] = 0
-    numerator = multiply(_evaluate(omega, roots), inverse(roots)[None, :])
-    errors = multiply(numerator, inverse(_evaluate(derivative, roots)))
+    numerator = multiply(_evaluate(omega, places), inverse(roots)[None, :])
+    errors = multiply(numerator, inverse(_evaluate(derivative, places)))
     out = np.where(wrong & solvable[:, None], words ^ errors, words)
     return out, solvable & ~_syndromes(out, parity).any(axis=1)
 
 
 def _syndromes(words: ByteArray, parity: int) -> ByteArray:
     """The words as polynomials, at 2^0 .. 2^(parity - 1)."""
-    points = powers()[:parity]
-    out = np.zeros((len(words), parity), dtype=np.uint8)
-    for column in words.T:
-        out = multiply(out, points[None, :]) ^ column[:, None]
+    return _evaluate(words[:, ::-1], range(parity))
+
+
+def _evaluate(polynomials: ByteArray, exponents: range) -> ByteArray:
+    """(words, coefficients), lowest power first, at 2 to each of `exponents`."""
+    words, terms = polynomials.shape
+    table = _powers_of_points(terms, exponents)
+    out = np.empty((words, len(exponents)), dtype=np.uint8)
+    rows = max(1, PRODUCTS // table.size)
+    for start in range(0, words, rows):
+        part = slice(start, start + rows)
+        out[part] = np.bitwise_xor.reduce(multiply(polynomials[part, :, None], table[None]), axis=1)
     return out
 
 
-def _evaluate(polynomials: ByteArray, points: ByteArray) -> ByteArray:
-    """(words, coefficients), lowest power first, at each of `points`."""
-    out = np.zeros((len(polynomials), len(points)), dtype=np.uint8)
-    for column in polynomials.T[::-1]:
-        out = multiply(out, points[None, :]) ^ column[:, None]
-    return out
+@lru_cache(maxsize=64)
+def _powers_of_points(terms: int, exponents: range) -> ByteArray:
+    table: ByteArray = powers()[np.outer(np.arange(terms), exponents) % ORDER]
+    return table
 
 
 def _berlekamp_massey(syndromes: ByteArray) -> tuple[ByteArray, npt.NDArray[np.int64]]:

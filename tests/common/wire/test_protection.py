@@ -174,10 +174,10 @@ def test_the_inner_code_delivers_through_bit_errors(datagram: int) -> None:
 
 def test_a_single_coded_datagram_is_found_without_a_legible_start() -> None:
     (datagram,) = encode(features(20), transmission="t", options=WireOptions(inner=32))
-    for places in ([0], [1], [2], [3], [0, 1, 2, 3, 4, 5, 6]):
+    for masks in ({0: 0x5A}, {1: 0x5A}, {2: 0x5A}, {3: 0x5A}, {0: 1, 1: 2, 2: 4, 3: 8, 4: 16, 5: 32, 6: 64}):
         harmed = bytearray(datagram)
-        for place in places:
-            harmed[place] ^= 0x5A
+        for place, mask in masks.items():
+            harmed[place] ^= mask
         packets, decoder = decode(bytes(harmed))
         assert (len(packets), decoder.corrected, decoder.damaged) == (1, 1, 0)
 
