@@ -21,6 +21,9 @@ Sleep: TypeAlias = Callable[[float], Awaitable[None]]
 SENT = "surfacelink.sent"
 """Key of the ASGI scope that holds the body as it was before the channel."""
 
+FAULTS = "surfacelink.faults"
+"""Key of the ASGI scope that holds what the channel did, as in the header ``Surfacelink-Faults``."""
+
 
 class ChannelMiddleware:
     """Pure ASGI: sends the body of each ``POST /v1/transmissions/{id}`` through the channel in force.
@@ -68,9 +71,9 @@ class ChannelMiddleware:
         )
         if delivery.seconds:
             await self.sleep(delivery.seconds)
-        harmed = delivery.body
-        scope = {**scope, "headers": _with_length(headers, len(harmed)), SENT: body}
-        await self.app(scope, _replay(harmed, receive), _announce(faults_header(delivery), send))
+        harmed, faults = delivery.body, faults_header(delivery)
+        scope = {**scope, "headers": _with_length(headers, len(harmed)), SENT: body, FAULTS: faults}
+        await self.app(scope, _replay(harmed, receive), _announce(faults, send))
 
     async def _read(self, headers: Headers, receive: Receive) -> bytes | None:
         """The whole body, or None where the client went away; raises LimitError."""

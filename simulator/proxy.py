@@ -19,10 +19,11 @@ from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 from common.channel import Channel
+from common.channel.carrying import FAULTS_HEADER
 from common.errors import ChannelError, LimitError, LinkError, ParameterError, SurfacelinkError
 from common.problems import problem_of
 from common.wire.limits import MAX_BODY
-from receiver.middleware import ChannelMiddleware, Sleep
+from receiver.middleware import FAULTS, ChannelMiddleware, Sleep
 from receiver.problems import respond
 
 TIMEOUT = httpx.Timeout(connect=5.0, write=60.0, pool=60.0, read=None)
@@ -38,6 +39,9 @@ HOP_BY_HOP = frozenset(
     b"upgrade".split()
 )
 """Header fields that concern one connection only (RFC 9110, section 7.6.1)."""
+
+OF_THE_SERVER = (b"date", b"server")
+"""Header fields that the server which runs the proxy writes itself; twice they would contradict each other."""
 
 Headers = list[tuple[bytes, bytes]]
 
@@ -83,7 +87,7 @@ def create_proxy(
         outward = client.build_request(
             request.method,
             base.copy_with(raw_path=_target(base, request)),
-            headers=_end_to_end(request.headers.raw, without=(b"host",)),
+            headers=_end_to_end(request.headers.raw, without=(b"host",)) + _faults(request),
             content=request.stream() if _has_body(request) else None,
         )
         try:
@@ -91,7 +95,7 @@ def create_proxy(
         except httpx.TransportError as error:
             raise LinkError(f"the server at {base} does not answer ({type(error).__name__})") from error
         response = StreamingResponse(_relay(answer), status_code=answer.status_code)
-        response.raw_headers = _end_to_end(answer.headers.raw)
+        response.raw_headers = _end_to_end(answer.headers.raw, without=OF_THE_SERVER)
         return response
 
     app = Starlette(
@@ -126,6 +130,12 @@ def _target(base: httpx.URL, request: Request) -> bytes:
 
 def _has_body(request: Request) -> bool:
     return "content-length" in request.headers or "transfer-encoding" in request.headers
+
+
+def _faults(request: Request) -> Headers:
+    """Tells the receiver that a link stood before it: what arrives may be nothing at all."""
+    faults: str | None = request.scope.get(FAULTS)
+    return [] if faults is None else [(FAULTS_HEADER.lower().encode(), faults.encode())]
 
 
 def _end_to_end(headers: Iterable[tuple[bytes, bytes]], without: tuple[bytes, ...] = ()) -> Headers:

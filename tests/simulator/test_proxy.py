@@ -43,9 +43,11 @@ async def echo(request: Request) -> Response:
             "target": request.scope["raw_path"].decode() + "?" + request.url.query,
             "seen-host": request.headers["host"],
             "seen-length": request.headers.get("content-length", "none"),
+            "seen-faults": request.headers.get("surfacelink-faults", "none seen"),
             "seen-hop": request.headers.get("x-hop", "none"),
             "connection": "x-secret",
             "x-secret": "of this hop",
+            "date": "Sun, 06 Nov 1994 08:49:37 GMT",
         }
     )
     answer.headers.append("set-cookie", "a=1")
@@ -99,6 +101,7 @@ async def test_packets_are_harmed_as_the_channel_says(packets: list[bytes]) -> N
     assert answer.content == expected.body
     assert answer.headers["seen-length"] == str(len(expected.body))
     assert "erasure=" in answer.headers["surfacelink-faults"]
+    assert answer.headers["seen-faults"] == answer.headers["surfacelink-faults"]
     assert sleep.seconds == [2]
 
 
@@ -114,7 +117,9 @@ async def test_everything_else_passes_as_it_is() -> None:
         assert answer.headers["target"] == "/base/a%20b/c?x=1&x=%2F"
         assert answer.headers["seen-host"] == "server:99"
         assert answer.headers["seen-hop"] == "none"
+        assert answer.headers["seen-faults"] == "none seen"
         assert "x-secret" not in answer.headers
+        assert "date" not in answer.headers
         assert answer.headers.get_list("set-cookie") == ["a=1", "b=2"]
         assert (await client.get("/")).headers["seen-length"] == "none"
         assert (await client.get("/stream")).text == "one two three"
