@@ -10,6 +10,7 @@ from typing import Annotated
 import anyio
 import typer
 import uvicorn
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -32,6 +33,7 @@ app = typer.Typer(
     add_completion=False,
 )
 console = Console()
+CHANNELS = ("clean", "noisy")
 
 
 @app.command()
@@ -70,7 +72,8 @@ def demo(
             pictures = write_pictures(trials, out)
             bar.advance(task)
         console.print(demo_table(trials))
-        console.print("NRMSE: root mean square error over the range of z; noisy: the paper's noise on x, y and z.")
+        console.print("NRMSE: root mean square error over the range of z. Noisy: the paper's noise, on x, y and z.")
+        console.print("Linear and cubic interpolate the same feature points.")
         for picture in pictures:
             console.print(f"picture: {picture}", highlight=False, soft_wrap=True)
         if serve:
@@ -78,17 +81,23 @@ def demo(
 
 
 def demo_table(trials: list[Trial]) -> Table:
-    """The figures of the demo, the least error of each channel in bold."""
-    table = Table(title="Features through the channel, and the surface grown back", title_justify="left")
+    """The figures of the demo, a column a surface; the least error of each channel in bold."""
     rows = [trial.row() for trial in trials]
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for name in rows[0]:
-        table.add_column(name.replace(" ", "\n"), justify="left" if name == "surface" else "right", no_wrap=True)
-    for row in rows:
-        least = {
-            min((name for name in row if name.startswith(channel)), key=lambda name: row[name])
-            for channel in ("clean ", "noisy ")
-        }
-        table.add_row(*(Text(_cell(name, value), "bold green" if name in least else "") for name, value in row.items()))
+        if name == "surface":
+            table.add_column(name, no_wrap=True)
+            for row in rows:
+                table.add_column(str(row[name]), justify="right", no_wrap=True)
+            continue
+        channel, _, method = name.partition(" ")
+        label = f"NRMSE, {channel} channel: {method}" if channel in CHANNELS else name
+        cells = []
+        for row in rows:
+            rivals = [row[other] for other in row if other.startswith(f"{channel} ")]
+            won = channel in CHANNELS and row[name] == min(rivals)
+            cells.append(Text(_cell(name, row[name]), "bold green" if won else ""))
+        table.add_row(label, *cells, end_section=name in ("dense bytes", "clean cubic", "noisy cubic"))
     return table
 
 
