@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import socket
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -35,11 +36,18 @@ def main() -> None:
 
 
 class Server(uvicorn.Server):
-    """A server that ends event streams when it is told to stop, instead of waiting for their readers to leave."""
+    """A server that says when it is up, and ends event streams when it is told to stop instead of waiting for
+    their readers to leave."""
 
-    def __init__(self, config: uvicorn.Config, application: FastAPI) -> None:
+    def __init__(self, config: uvicorn.Config, application: FastAPI, announce: Callable[[], None]) -> None:
         super().__init__(config)
         self._application = application
+        self._announce = announce
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        if self.started:
+            self._announce()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         surfaces: Surfaces | None = self._application.state.surfaces
@@ -111,10 +119,13 @@ def serve(
     logging.captureWarnings(True)
     bound = listener.getsockname()[1]
     shown = f"[{settings.host}]" if ":" in settings.host else settings.host
-    out = Console(soft_wrap=True)
-    out.print(f"receiver  http://{shown}:{bound}", highlight=False)
-    out.print(f"data      {settings.data.resolve()}", highlight=False)
-    out.print(f"channel   {application.state.channel}", highlight=False)
+
+    def announce() -> None:
+        out = Console(soft_wrap=True, highlight=False)
+        out.print(f"receiver  http://{shown}:{bound}")
+        out.print(f"data      {escape(str(settings.data.resolve()))}")
+        out.print(f"channel   {escape(str(application.state.channel))}")
+
     config = uvicorn.Config(
         application,
         log_level="info" if access_log else "warning",
@@ -123,7 +134,7 @@ def serve(
         lifespan="on",
     )
     with listener:
-        Server(config, application).run(sockets=[listener])
+        Server(config, application, announce).run(sockets=[listener])
 
 
 if __name__ == "__main__":

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator
 from contextlib import asynccontextmanager
 from functools import partial
+from hashlib import sha256
 from http import HTTPStatus
 from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as version_of
@@ -43,14 +45,6 @@ function network on them, and answers with heights.
 
 Every error is a problem of RFC 9457, `application/problem+json`.
 """
-
-
-VIEWER = (files("receiver") / "viewer" / "index.html").read_text(encoding="utf-8")
-
-VIEWER_POLICY = (
-    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src 'self' data: blob:; "
-    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-)
 
 
 class NotStarted(NotReadyError):  # noqa: N818 - a state that passes, not a fault
@@ -364,9 +358,10 @@ async def metrics(here: Here) -> Response:
 
 
 @api.get("/", include_in_schema=False, response_class=HTMLResponse)
-async def viewer() -> HTMLResponse:
+async def viewer(request: Request) -> HTMLResponse:
     """The viewer: one page that asks this service for everything else."""
-    return HTMLResponse(VIEWER, headers={"Content-Security-Policy": VIEWER_POLICY, "Cache-Control": "no-cache"})
+    page, policy = request.app.state.viewer
+    return HTMLResponse(page, headers={"Content-Security-Policy": policy, "Cache-Control": "no-cache"})
 
 
 def _bounded(wait: float, settings: Settings) -> float:
@@ -436,6 +431,17 @@ async def _deliver(
     return StreamingResponse(chain([first], others), media_type=form.media_type, headers=headers)
 
 
+def _viewer() -> tuple[str, str]:
+    """The page, and the policy that lets it run its own script and speak to this service, and nothing else."""
+    page = (files("receiver") / "viewer" / "index.html").read_text(encoding="utf-8")
+    script = page.partition("<script>")[2].partition("</script>")[0]
+    digest = b64encode(sha256(script.encode()).digest()).decode()
+    return page, (
+        f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src 'self' data:; "
+        "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    )
+
+
 def _version() -> str:
     try:
         return version_of("surfacelink")
@@ -485,6 +491,7 @@ def create_app(settings: Settings | None = None, *, train: Train = SurfaceModel.
     )
     app.state.settings = known
     app.state.surfaces = None
+    app.state.viewer = _viewer()
     app.state.channel = Channel.parse(known.channel, seed=known.seed)
     app.include_router(api)
     install(app)

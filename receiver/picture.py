@@ -10,9 +10,11 @@ from typing import Literal, TypeAlias, get_args
 import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import LightSource, Normalize
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
 from common.surface import FloatArray, HeightGrid
@@ -22,14 +24,23 @@ Palette: TypeAlias = Literal["viridis", "cividis", "magma", "inferno", "plasma",
 
 PALETTES: tuple[Palette, ...] = get_args(Palette)
 
-SUN = LightSource(azdeg=315, altdeg=45)
-"""From the upper left, where readers of maps expect the light."""
+SUN = (-0.5, 0.5, float(np.sqrt(0.5)))
+"""Direction of the light: from the upper left, where readers of maps expect it, at 45 degrees."""
 
-STEEP = 95.0
-"""The percentile of slopes that is drawn as 45 degrees, so that any unit of height gives a readable relief."""
+STEEP_PERCENTILE, STEEP = 95.0, 0.7
+"""This percentile of the slopes is drawn as this slope, so that any unit of height gives a readable relief."""
 
-WIDTH_INCHES, DPI = 8.0, 125
-"""Size of a framed picture: 1,000 pixels across."""
+SHADE, GLOW = 0.75, 0.5
+"""How much slopes that turn away from the light darken, and those that face it lighten."""
+
+LEVELS = 10
+"""Contour lines, about."""
+
+WIDTH, DPI = 8.0, 125
+"""Size of a framed picture: inches, and pixels of one; 1,000 pixels across."""
+
+MARGINS = (0.85, 1.25, 0.62, 0.45)
+"""Inches left, right, below and above the map."""
 
 _drawing = threading.Lock()  # matplotlib's text layout keeps caches that are not for threads
 
@@ -45,20 +56,32 @@ class Style:
     colorbar: bool = True
 
 
+def _light(heights: FloatArray, step_x: float, step_y: float) -> FloatArray:
+    """Light on a relief, 1 on level ground; `heights` with the first row at the greatest y."""
+    along_y, along_x = np.gradient(heights, -step_y, step_x)
+    steep = float(np.percentile(np.hypot(along_x, along_y), STEEP_PERCENTILE))
+    if steep == 0:
+        return np.ones_like(heights)
+    slope_x, slope_y = along_x * (STEEP / steep), along_y * (STEEP / steep)
+    toward = SUN[2] - SUN[0] * slope_x - SUN[1] * slope_y
+    return np.asarray(np.maximum(toward, 0) / np.sqrt(1 + slope_x**2 + slope_y**2) / SUN[2])
+
+
 def relief(grid: HeightGrid, style: Style) -> Pixels:
-    """One pixel a node, shape (rows, columns, 3), the first row at the greatest y."""
+    """One pixel a node, shape (rows, columns, 3), the first row at the greatest y.
+
+    Level ground has exactly the colour that its height has in the palette; slopes are lighter or darker.
+    """
     z = grid.z[::-1]
     low, high = float(z.min()), float(z.max())
     scaled = np.full(z.shape, 0.5) if low == high else (z - low) / (high - low)
     colors: FloatArray = mpl.colormaps[style.palette](scaled)[:, :, :3]
-    if style.shading and min(z.shape) > 1 and low < high:
+    if style.shading and min(z.shape) > 1:
         step_x, step_y = float(np.ptp(grid.x)) / (grid.x.size - 1), float(np.ptp(grid.y)) / (grid.y.size - 1)
-        along_y, along_x = np.gradient(scaled, step_y, step_x)
-        steep = float(np.percentile(np.hypot(along_x, along_y), STEEP))
-        if steep > 0:
-            colors = SUN.shade_rgb(
-                colors, scaled, blend_mode="soft", vert_exag=1 / steep, dx=step_x, dy=step_y, fraction=1.1
-            )
+        light = _light(scaled, step_x, step_y)[:, :, None]
+        darker = colors * (1 - SHADE * (1 - light))
+        lighter = colors + (1 - colors) * (GLOW * (light - 1))
+        colors = np.where(light < 1, darker, lighter)
     return (np.clip(colors, 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
@@ -73,32 +96,46 @@ def _with_unit(name: str, unit: str) -> str:
     return f"{name} ({unit})" if unit else name
 
 
+def _plain(axes: Axes) -> None:
+    """No frame, quiet ticks."""
+    axes.tick_params(length=3, color="0.6", labelcolor="0.25", labelsize=9)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
+
 def framed(grid: HeightGrid, name: str, style: Style) -> bytes:
-    """The relief with axes, title and colour bar, as PNG."""
+    """The relief with axes, contour lines, title and colour bar, as PNG."""
     region, units = grid.region, grid.units
     low, high = float(grid.z.min()), float(grid.z.max())
-    aspect = float(np.clip(region.height / region.width, 0.3, 3.0))
+    left, right, below, above = MARGINS
+    width = WIDTH - left - right
+    height = width * float(np.clip(region.height / region.width, 0.25, 2.0))
+    total = height + below + above
     with _drawing:
-        figure = Figure(figsize=(WIDTH_INCHES, WIDTH_INCHES * (0.8 * aspect + 0.14)), dpi=DPI, layout="constrained")
-        axes = figure.add_subplot()
-        axes.imshow(
-            relief(grid, style),
-            extent=region.bounds,
-            aspect="equal" if aspect == region.height / region.width else "auto",
-            interpolation="bilinear",
+        figure = Figure(figsize=(WIDTH, total), dpi=DPI)
+        axes = figure.add_axes((left / WIDTH, below / total, width / WIDTH, height / total))
+        axes.imshow(relief(grid, style), extent=region.bounds, aspect="auto", interpolation="bilinear")
+        if low < high:
+            levels = MaxNLocator(LEVELS).tick_values(low, high)
+            axes.contour(
+                grid.x, grid.y, grid.z, levels=levels, colors="black", linestyles="solid", linewidths=0.5, alpha=0.25
+            )
+        figure.text(
+            left / WIDTH,
+            1 - 0.3 / total,
+            name,
+            fontsize=12,
+            fontweight="bold",
+            parse_math=False,
         )
-        axes.set_title(name, loc="left", fontweight="bold", parse_math=False)
-        axes.set_xlabel(_with_unit("x", units.xy))
-        axes.set_ylabel(_with_unit("y", units.xy))
-        axes.tick_params(direction="out", length=3, color="0.5")
-        for spine in axes.spines.values():
-            spine.set_visible(False)
+        axes.set_xlabel(_with_unit("x", units.xy), color="0.25")
+        axes.set_ylabel(_with_unit("y", units.xy), color="0.25")
+        _plain(axes)
+        bar = figure.add_axes(((WIDTH - right + 0.18) / WIDTH, below / total, 0.2 / WIDTH, height / total))
         span = Normalize(low, high) if low < high else Normalize(low - 0.5, high + 0.5)
-        bar = figure.colorbar(
-            mpl.cm.ScalarMappable(span, style.palette), ax=axes, label=_with_unit("height", units.z), pad=0.02
-        )
-        bar.outline.set_visible(False)
-        bar.ax.tick_params(length=3, color="0.5")
+        figure.colorbar(mpl.cm.ScalarMappable(span, style.palette), cax=bar)
+        bar.set_ylabel(_with_unit("height", units.z), color="0.25")
+        _plain(bar)
         buffer = io.BytesIO()
         FigureCanvasAgg(figure)
         figure.savefig(buffer, format="png", metadata={"Software": "surfacelink"})

@@ -473,3 +473,16 @@ async def test_the_openapi_document_is_complete(client: Client) -> None:
                     assert list(answer["content"]) == ["application/problem+json"], (method, path, status)
     grid = document["paths"]["/v1/surfaces/{id}/grid"]["get"]
     assert "image/png" in grid["responses"]["200"]["content"]
+
+
+async def test_the_event_loop_turns_while_a_large_training_runs(client: Client) -> None:
+    rng = np.random.default_rng(5)
+    xy = rng.uniform(-2, 2, (1_500, 2))
+    large = FeatureSet(np.column_stack([xy, np.sin(2 * xy).sum(axis=1)]), Region(-2, 2, -2, 2))
+    await client.transmit("large", b"".join(encode(large, transmission="large")))
+    answered = 0
+    while (await client.get("/v1/surfaces/large")).json()["state"] == "training":
+        assert (await client.get("/health/live")).status_code == 200
+        answered += 1
+    # A loop that the training blocks answers one request before it and the next after it.
+    assert answered >= 10

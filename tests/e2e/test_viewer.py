@@ -1,0 +1,202 @@
+"""The viewer in a real browser, served by a real receiver."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import httpx
+import numpy as np
+import pytest
+
+from common.surface import FeatureSet, Region, Units
+from common.wire import MEDIA_TYPE, encode
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
+
+ROOT = Path(__file__).resolve().parents[2]
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
+
+ARGUMENTS = [
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    executable = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if executable is None:
+        pytest.skip(f"no browser is installed: none of {', '.join(BROWSERS)} is in the PATH")
+    sync_api = pytest.importorskip("playwright.sync_api")
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=executable, headless=True, args=ARGUMENTS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def receiver(tmp_path: Path) -> Iterator[str]:
+    """The address of a receiver that runs as a process of its own."""
+    command = [sys.executable, "-m", "receiver", "serve", "--port", "0", "--data", str(tmp_path / "data")]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            found = re.search(r"http://\S+", process.stdout.readline())
+            assert found is not None
+            yield found[0]
+        finally:
+            process.terminate()
+            status = process.wait(timeout=30)
+    assert status in (0, -15)
+
+
+def send(receiver: str, name: str, points: np.ndarray) -> None:
+    features = FeatureSet(points, Region(-2, 2, -1, 1), gap=0.5, kind="cloud", units=Units("m", "m"))
+    answer = httpx.post(
+        f"{receiver}/v1/transmissions/{name}",
+        content=b"".join(encode(features, transmission=name)),
+        headers={"Content-Type": MEDIA_TYPE},
+        timeout=30,
+    )
+    assert answer.status_code == 202
+
+
+@pytest.fixture
+def points() -> np.ndarray:
+    xy = np.random.default_rng(2).uniform((-2, -1), (2, 1), (80, 2))
+    return np.column_stack([xy, 100 + np.sin(2 * xy).sum(axis=1)])
+
+
+@pytest.fixture
+def page(browser: Browser, receiver: str) -> Iterator[Page]:
+    """The viewer; fails where it logs an error or asks anyone but the receiver."""
+    context = browser.new_context(viewport={"width": 1200, "height": 900}, color_scheme="light")
+    page = context.new_page()
+    complaints: list[str] = []
+    page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on(
+        "request",
+        lambda request: None if request.url.startswith((receiver, "data:")) else complaints.append(request.url),
+    )
+    page.goto(receiver)
+    yield page
+    context.close()
+    assert complaints == []
+
+
+def shown(page: Page) -> np.ndarray:
+    """Red, green, blue of every seventh pixel in the middle of what is drawn."""
+    script = """() => {
+        const c = document.querySelector("canvas"), found = [];
+        const pixels = c.getContext("2d").getImageData(c.width / 4, c.height / 4, c.width / 2, c.height / 2).data;
+        for (let k = 0; k < pixels.length; k += 28) found.push(pixels[k] << 16 | pixels[k + 1] << 8 | pixels[k + 2]);
+        return found.join();
+    }"""
+    return np.array(page.evaluate(script).split(","), dtype=int)
+
+
+def test_a_surface_appears_by_itself_and_can_be_read(page: Page, receiver: str, points: np.ndarray) -> None:
+    page.get_by_text("Nothing has arrived yet").wait_for()
+    send(receiver, "hills", points)
+    page.locator('canvas[data-drawn="hills map z"]').wait_for()
+    assert page.locator("#state").inner_text() == "ready"
+    assert len(np.unique(shown(page))) > 100
+
+    canvas = page.locator("canvas")
+    canvas.focus()
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("ArrowUp")
+    read = page.locator("#read").inner_text()
+    found = re.search(r"x\s+(\S+) m\s+y\s+(\S+) m\s+height\s+(\S+) m", read)
+    assert found is not None, read
+    x, y, height = map(float, found.groups())
+    assert (x, y) == (0.04, 0.02)
+    assert height == pytest.approx(100 + np.sin(2 * x) + np.sin(2 * y), abs=0.1)
+
+    box = canvas.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    assert "height" in page.locator("#read").inner_text()
+
+
+def test_what_is_shown_can_be_chosen(page: Page, receiver: str, points: np.ndarray) -> None:
+    send(receiver, "hills", points)
+    page.locator('canvas[data-drawn="hills map z"]').wait_for()
+    pictures = [shown(page)]
+
+    def changed() -> None:
+        for _ in range(100):
+            page.wait_for_timeout(20)  # about a frame
+            pictures.append(shown(page))
+            if not np.array_equal(pictures[-2], pictures[-1]):
+                return
+        pytest.fail("the picture did not change")
+
+    page.locator("#palette").select_option("magma")
+    changed()
+    for box in ("#shade", "#lines", "#points"):
+        page.locator(box).uncheck()
+        changed()
+    with page.expect_response(re.compile("/network")):
+        page.locator("#centers").check()
+    changed()
+    page.locator("#layer").select_option("std")
+    page.locator('canvas[data-drawn="hills map std"]').wait_for()
+    changed()
+    page.locator("#as-3d").click()
+    page.locator('canvas[data-drawn="hills 3d std"]').wait_for()
+    changed()
+    page.locator("canvas").focus()
+    page.keyboard.press("ArrowLeft")
+    changed()
+    page.locator("#theme").click()
+    assert page.locator("html").get_attribute("data-theme") == "dark"
+
+
+def test_downloads_and_curl_lines_work(page: Page, receiver: str, points: np.ndarray) -> None:
+    send(receiver, "hills", points)
+    page.locator('canvas[data-drawn="hills map z"]').wait_for()
+    links = [link.get_attribute("href") or "" for link in page.locator(".links a").all()]
+    assert len(links) >= 10
+    for link in links:
+        answer = httpx.get(receiver + link, timeout=30)
+        assert answer.status_code in (200, 406), link
+        assert answer.status_code == 200 or "tifffile" in answer.text
+    lines = page.locator(".curl pre").all_inner_texts()
+    assert any(f'curl "{receiver}/v1/surfaces/hills/grid?f=csv' in line for line in lines)
+
+
+def test_a_removed_surface_goes(page: Page, receiver: str, points: np.ndarray) -> None:
+    send(receiver, "hills", points)
+    send(receiver, "dales.-_", points)
+    page.locator("nav li", has_text="dales.-_").wait_for()
+    page.locator("nav li button", has_text="hills").click()
+    page.locator('canvas[data-drawn="hills map z"]').wait_for()
+    page.once("dialog", lambda dialog: dialog.accept())
+    page.locator("#remove").click()
+    page.locator("nav li", has_text="hills").wait_for(state="detached")
+    assert page.locator("#name").inner_text() == "dales.-_"
+    assert httpx.get(f"{receiver}/v1/surfaces/hills").status_code == 404
+
+
+def test_a_failed_training_is_explained(page: Page, receiver: str) -> None:
+    send(receiver, "point", np.zeros((1, 3)))
+    page.get_by_text("The network could not be trained").wait_for()
+    assert "point" in page.locator("#veil-text").inner_text()

@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+import io
+from typing import get_args
+
+import numpy as np
+import pytest
+from matplotlib import colormaps
+from PIL import Image
+
+from common.surface import HeightGrid, Units
+from receiver.picture import PALETTES, Palette, Style, picture, relief
+
+X, Y = np.linspace(0, 2, 40), np.linspace(0, 1, 20)
+
+
+def surface(z: np.ndarray) -> HeightGrid:
+    return HeightGrid(X, Y, np.broadcast_to(z, (20, 40)), Units("m", "m"))
+
+
+def luminance(pixels: np.ndarray) -> np.ndarray:
+    linear = (pixels / 255.0) ** 2.2
+    return np.asarray(linear @ np.array([0.2126, 0.7152, 0.0722]))
+
+
+def opened(data: bytes) -> Image.Image:
+    return Image.open(io.BytesIO(data))
+
+
+@pytest.mark.parametrize("palette", PALETTES)
+def test_without_shading_brighter_is_higher_in_every_palette(palette: Palette) -> None:
+    pixels = relief(surface(X), Style(palette, shading=False))
+    row = luminance(pixels)[0]
+    assert np.all(np.diff(row) > -1e-3)
+    assert row[-1] - row[0] > 0.3
+    assert np.all(pixels == pixels[0])
+
+
+def test_the_first_row_is_the_greatest_y() -> None:
+    pixels = luminance(relief(surface(Y[:, None]), Style("gray", shading=False)))
+    assert np.all(pixels[0] > pixels[-1])
+
+
+def test_light_comes_from_the_upper_left() -> None:
+    cone = surface(-np.hypot(X - 1, Y[:, None] - 0.5))
+    plain, lit = (luminance(relief(cone, Style("gray", shading))) for shading in (False, True))
+    change = lit - plain
+    assert change[3, 13] > 0 > change[-4, -14]
+
+
+def test_level_ground_keeps_its_colour() -> None:
+    step = np.where(X < 1, 0.0, 1.0)
+    pixels = relief(surface(step), Style("viridis"))
+    expected = np.array(colormaps["viridis"]([0.0, 1.0]))[:, :3] * 255
+    np.testing.assert_allclose(pixels[10, 2], expected[0], atol=1)
+    np.testing.assert_allclose(pixels[10, -3], expected[1], atol=1)
+
+
+def test_the_unit_of_height_makes_no_difference() -> None:
+    z = np.sin(3 * X) * np.cos(4 * Y[:, None])
+    np.testing.assert_allclose(
+        relief(surface(z), Style()).astype(int), relief(surface(1e6 * z + 1e9), Style()).astype(int), atol=2
+    )
+
+
+def test_every_setting_changes_the_picture() -> None:
+    grid = surface(np.sin(3 * X) * np.cos(4 * Y[:, None]))
+    styles = [Style(), Style("magma"), Style(shading=False), Style(colorbar=False)]
+    assert len({picture(grid, "hills", style) for style in styles}) == len(styles)
+    assert picture(grid, "dales", Style()) != picture(grid, "hills", Style())
+
+
+@pytest.mark.parametrize("colorbar", [True, False])
+@pytest.mark.parametrize(
+    "z",
+    [
+        np.zeros((20, 1)),
+        np.full((20, 1), 1e300),
+        np.full((20, 1), -1e-300),
+        np.where(X < 1, 0.0, 1e-300),
+        np.where(X < 1, -1e300, 1e300),
+        1e9 + 1e-7 * X,
+    ],
+)
+def test_odd_heights_give_a_picture(z: np.ndarray, colorbar: bool) -> None:
+    image = opened(picture(surface(z), "odd", Style(colorbar=colorbar)))
+    assert image.size == ((1_000, image.height) if colorbar else (40, 20))
+
+
+def test_a_name_is_no_markup() -> None:
+    picture(surface(X), r"$\frac{1}$_^", Style())
+
+
+def test_palettes_are_the_type() -> None:
+    assert get_args(Palette) == PALETTES
+    assert set(PALETTES) <= set(colormaps)

@@ -1,0 +1,135 @@
+from __future__ import annotations
+
+import sqlite3
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import anyio
+import pytest
+
+from common.errors import StoreError
+from common.network.model import NetworkSettings, SurfaceModel
+from common.surface import FeatureSet
+from tests.receiver.conftest import Running, packets_of
+
+pytestmark = [
+    pytest.mark.anyio,
+    pytest.mark.filterwarnings("ignore::common.network.estimator.NetworkWarning"),
+]
+
+FORMS = ("json", "csv", "npy", "msgpack", "png")
+
+
+def never(features: FeatureSet, settings: NetworkSettings, *, callback: Any) -> SurfaceModel:
+    raise AssertionError("nothing is left to train")
+
+
+def stuck(features: FeatureSet, settings: NetworkSettings, *, callback: Callable[[str, float], None]) -> SurfaceModel:
+    while True:
+        callback("stuck", 0.0)
+        threading.Event().wait(0.005)
+
+
+async def test_a_ready_surface_answers_with_the_same_bytes(running: Running, features: FeatureSet) -> None:
+    urls = [
+        *(f"/v1/surfaces/hills/grid?f={form}&shape=20,30&std=true" for form in FORMS),
+        "/v1/surfaces/hills/network",
+        "/v1/surfaces/hills/features",
+        "/v1/surfaces/hills",
+        "/v1/surfaces",
+    ]
+    async with running() as client:
+        await client.transmit("hills", b"".join(packets_of(features, "hills")), params={"spread": "0.8"})
+        assert (await client.get("/v1/surfaces/hills?wait=60")).json()["state"] == "ready"
+        before = [await client.get(url) for url in urls]
+    async with running(train=never) as client:
+        after = [await client.get(url) for url in urls]
+    assert [answer.content for answer in after] == [answer.content for answer in before]
+    assert [answer.headers.get("etag") for answer in after] == [answer.headers.get("etag") for answer in before]
+
+
+async def test_an_interrupted_training_is_resumed(running: Running, features: FeatureSet) -> None:
+    async with running() as client:
+        await client.transmit("hills", b"".join(packets_of(features, "hills")))
+        expected = (await client.get("/v1/surfaces/hills/grid?wait=60&f=npy")).content
+        await client.delete("/v1/surfaces/hills")
+    async with running(train=stuck) as client:
+        await client.transmit("hills", b"".join(packets_of(features, "hills")))
+        assert (await client.get("/v1/surfaces/hills")).json()["state"] == "training"
+    async with running() as client:
+        assert (await client.get("/v1/surfaces/hills/grid?wait=60&f=npy")).content == expected
+
+
+async def test_packets_of_several_bodies_are_joined_across_restarts(running: Running, features: FeatureSet) -> None:
+    packets = packets_of(features, "hills")
+    for packet in packets:
+        async with running(train=stuck) as client:
+            receipt = (await client.transmit("hills", packet)).json()
+    assert receipt["complete"]
+    assert receipt["packets"]["received"] == len(packets)
+    async with running() as client:
+        surface = (await client.get("/v1/surfaces/hills?wait=60")).json()
+        assert surface["network"]["centers"] == len(features)
+        assert (await client.transmit("hills", packets[0])).json()["delivery"]["duplicate"] == 1
+
+
+async def test_a_harmed_copy_that_a_better_one_replaced_stays_replaced(running: Running, features: FeatureSet) -> None:
+    body = b"".join(packets_of(features, "hills"))
+    async with running(channel="gaussian:std=1,axes=z") as client:
+        noisy = (await client.transmit("hills", body)).json()
+        assert noisy["complete"]
+        first = (await client.get("/v1/surfaces/hills/features")).content
+    async with running() as client:
+        assert (await client.transmit("hills", body)).json()["state"] == "training"
+        second = (await client.get("/v1/surfaces/hills/features")).content
+        assert second != first
+    async with running() as client:
+        assert (await client.get("/v1/surfaces/hills/features")).content == second
+
+
+async def test_a_failure_is_remembered(running: Running, features: FeatureSet) -> None:
+    def fail(features: FeatureSet, settings: NetworkSettings, *, callback: Any) -> SurfaceModel:
+        raise StoreError("no")
+
+    async with running(train=fail) as client:
+        await client.transmit("hills", packets_of(features, "hills")[0])
+        before = (await client.get("/v1/surfaces/hills?wait=60")).json()
+        assert before["state"] == "failed"
+    async with running(train=never) as client:
+        assert (await client.get("/v1/surfaces/hills")).json() == before
+
+
+async def test_a_model_that_cannot_be_read_is_trained_again(
+    running: Running, features: FeatureSet, tmp_path: Path
+) -> None:
+    async with running() as client:
+        await client.transmit("hills", b"".join(packets_of(features, "hills")))
+        expected = (await client.get("/v1/surfaces/hills/grid?wait=60&f=npy")).content
+    db = sqlite3.connect(tmp_path / "data" / "receiver.sqlite3")
+    db.execute("UPDATE models SET state = x'00'")
+    db.commit()
+    db.close()
+    async with running() as client:
+        first = await client.get("/v1/surfaces/hills/grid?f=npy")
+        assert first.status_code == 409
+        assert (await client.get("/v1/surfaces/hills/grid?wait=60&f=npy")).content == expected
+
+
+async def test_a_stop_ends_open_event_streams(running: Running) -> None:
+    ended = anyio.Event()
+
+    async with anyio.create_task_group() as group, running() as client:
+
+        async def follow() -> None:
+            answer = await client.get("/v1/events")
+            assert answer.text == ""
+            ended.set()
+
+        group.start_soon(follow)
+        with anyio.fail_after(10):
+            while not client.app.state.surfaces.changes._subscriptions:
+                await anyio.sleep(0.005)
+            client.app.state.surfaces.changes.close()
+            await ended.wait()

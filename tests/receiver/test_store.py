@@ -1,0 +1,158 @@
+from __future__ import annotations
+
+import sqlite3
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from common.errors import NotFoundError, StoreError
+from receiver.store import SCHEMA_VERSION, Row, Store, pack_state, unpack_state
+
+STATE = {"centers": np.arange(6.0).reshape(3, 2), "name": np.array(["a", "b"])}
+
+
+def take(store: Store, name: str = "hills", packets: bytes = b"one", renew: bool = True, **options: Any) -> Row:
+    settings, contents = options.get("settings", {"spread": 0.3}), options.get("contents", {"points": 3})
+    return store.receive(name, packets, features="digest", settings=settings, contents=contents, renew=renew)
+
+
+def test_everything_survives_a_reopening(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        take(store)
+        row = take(store, packets=b"two")
+        store.trained(row.n, row.revision, state=STATE, summary={"centers": 3})
+        take(store, "dales")
+        before = store.latest(limit=10)
+    with Store(tmp_path) as store:
+        assert store.latest(limit=10) == before
+        row = store.get("hills")
+        assert row.revision == row.trained == 2
+        assert row.summary == {"centers": 3}
+        assert row.settings == {"spread": 0.3}
+        assert store.arrivals(row.n) == [b"one", b"two"]
+        state = store.model(row.n)
+        assert state is not None
+        np.testing.assert_array_equal(state["centers"], STATE["centers"])
+        assert state["name"].tolist() == ["a", "b"]
+        assert [row.id for row in store.untrained()] == ["dales"]
+
+
+def test_what_was_received_is_on_disk_when_the_call_returns(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        take(store)
+        copy = tmp_path / "copy"
+        copy.mkdir()
+        for file in tmp_path.glob("receiver.sqlite3*"):
+            (copy / file.name).write_bytes(file.read_bytes())
+        with Store(copy) as rescued:
+            assert rescued.arrivals(rescued.get("hills").n) == [b"one"]
+
+
+def test_synchronous_is_full(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        assert store._fetch("PRAGMA synchronous") == [(2,)]
+        assert store._fetch("PRAGMA journal_mode") == [("wal",)]
+
+
+def test_a_revision_grows_only_where_it_is_renewed(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        assert take(store, renew=False).revision == 0
+        assert store.untrained() == []
+        assert take(store).revision == 1
+        assert take(store, renew=False).revision == 1
+
+
+def test_failures_are_kept_until_the_next_revision(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        row = take(store)
+        store.failed(row.n, row.revision, {"title": "no"})
+        assert store.get("hills").error == {"title": "no"}
+        assert store.untrained() == []
+        take(store)
+        assert [row.id for row in store.untrained()] == ["hills"]
+
+
+def test_delete_removes_all_that_belongs_to_it_and_numbers_are_not_given_again(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        row = take(store)
+        store.trained(row.n, row.revision, state=STATE, summary={})
+        store.delete("hills")
+        assert store.arrivals(row.n) == []
+        assert store.model(row.n) is None
+        assert store.count() == 0
+        # A training that ends after its surface was deleted must not bring anything back.
+        store.trained(row.n, row.revision, state=STATE, summary={})
+        assert store.model(row.n) is None
+        assert take(store).n != row.n
+        with pytest.raises(NotFoundError, match="no surface 'dales'"):
+            store.delete("dales")
+
+
+def test_a_failed_write_leaves_nothing_behind(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        take(store)
+        with pytest.raises(StoreError, match="plain arrays"):
+            store.trained(1, 1, state={"bad": np.array([object()])}, summary={})
+        with pytest.raises(StoreError, match="store failed"):
+            store.receive("hills", [1], features=None, settings={}, contents={}, renew=True)  # type: ignore[arg-type]
+        assert store.get("hills").revision == 1
+        assert take(store).revision == 2
+
+
+def test_threads_may_share_it(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        threads = [
+            threading.Thread(target=lambda k=k: [take(store, f"s{k}", bytes([k])) for _ in range(10)]) for k in range(8)
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert {row.revision for row in store.latest(limit=100)} == {10}
+        assert store.arrivals(store.get("s3").n) == [b"\x03"] * 10
+
+
+def test_pages(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        rows = [take(store, name) for name in "abcde"]
+        assert [row.id for row in store.latest(limit=2)] == ["e", "d"]
+        assert [row.id for row in store.latest(before=rows[2].n, limit=9)] == ["b", "a"]
+
+
+def test_a_second_receiver_cannot_use_the_same_folder(tmp_path: Path) -> None:
+    with Store(tmp_path), pytest.raises(StoreError, match="in use by another receiver"):
+        Store(tmp_path)
+    Store(tmp_path).close()
+
+
+def test_a_newer_schema_is_refused(tmp_path: Path) -> None:
+    Store(tmp_path).close()
+    db = sqlite3.connect(tmp_path / "receiver.sqlite3")
+    db.execute(f"PRAGMA user_version = {SCHEMA_VERSION + 1}")
+    db.close()
+    with pytest.raises(StoreError, match=f"version {SCHEMA_VERSION + 1}, this receiver knows {SCHEMA_VERSION}"):
+        Store(tmp_path)
+
+
+def test_unusable_folders(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_bytes(b"")
+    with pytest.raises(StoreError, match="cannot be made"):
+        Store(file / "below")
+    junk = tmp_path / "junk"
+    junk.mkdir()
+    (junk / "receiver.sqlite3").write_bytes(b"no database" * 1000)
+    with pytest.raises(StoreError, match="cannot be used"):
+        Store(junk)
+
+
+def test_states_are_the_same_bytes_and_never_pickles() -> None:
+    assert pack_state(STATE) == pack_state({name: array.copy() for name, array in STATE.items()})
+    with pytest.raises(StoreError):
+        pack_state({"object": np.array([{}])})
+    for data in (b"", b"PK", pack_state(STATE)[:-30], b"\x80\x04."):
+        with pytest.raises(StoreError, match="cannot be read"):
+            unpack_state(data)
