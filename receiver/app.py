@@ -15,6 +15,7 @@ from itertools import chain
 from typing import Annotated, Any, TypeVar
 
 import anyio
+import numpy as np
 from anyio.to_thread import run_sync as run_in_thread
 from fastapi import APIRouter, Body, Depends, FastAPI, Header, Path, Query, Request, Response
 from fastapi.responses import HTMLResponse, StreamingResponse
@@ -26,6 +27,7 @@ from common.errors import ChannelError, ForbiddenError, MediaTypeError, NotFound
 from common.network.model import NetworkSettings, SurfaceModel
 from common.problems import MEDIA_TYPE as PROBLEM_TYPE
 from common.problems import Problem
+from common.surface import FloatArray
 from common.wire import MEDIA_TYPES
 from receiver import grids, schemas
 from receiver.formats import GRID_FORMATS, TABLE_FORMATS, Format, Table, choose
@@ -213,11 +215,12 @@ async def get_grid(
 ) -> Response:
     """Heights of the trained network, in the form that `f` or else the header Accept asks for."""
     chosen = choose(GRID_FORMATS, form, accept)
-    given = None if shape is None else grids.parse_shape(shape, settings.max_grid_cells)
+    most = settings.max_std_cells if std else settings.max_grid_cells
+    given = None if shape is None else grids.parse_shape(shape, most)
     row, model = await here.model(name, _bounded(wait, settings))
     region = model.region if bbox is None else grids.parse_bbox(bbox, model.region)
     if given is None:
-        given = grids.default_shape(region, chosen.name == "png", settings.max_grid_cells)
+        given = grids.default_shape(region, chosen.name == "png", most)
     wanted = grids.GridRequest(region, given, std, Style(palette, shading, colorbar))
     return await _deliver(
         request, row, chosen, wanted.tag(row.digest or "", chosen), partial(wanted.answer, name, model)
@@ -276,14 +279,7 @@ async def get_network(
     tag = f'"{(row.digest or "")[:32]}-{chosen.name}-network"'
 
     def table() -> Table:
-        network = model.network
-        coefficients = network.coefficients_.reshape(-1, len(network.centers_))
-        columns = {"x": network.centers_[:, 0], "y": network.centers_[:, 1]}
-        if len(coefficients) == 1:
-            columns["coefficient"] = coefficients[0]
-        else:
-            columns |= {f"coefficient_{level}": values for level, values in enumerate(coefficients)}
-        return Table(columns, {"id": name} | model.summary())
+        return Table(_neurons(model), {"id": name} | model.summary())
 
     return await _deliver(request, row, chosen, tag, table)
 
@@ -360,8 +356,35 @@ async def metrics(here: Here) -> Response:
 @api.get("/", include_in_schema=False, response_class=HTMLResponse)
 async def viewer(request: Request) -> HTMLResponse:
     """The viewer: one page that asks this service for everything else."""
-    page, policy = request.app.state.viewer
-    return HTMLResponse(page, headers={"Content-Security-Policy": policy, "Cache-Control": "no-cache"})
+    return _page(request, "index.html")
+
+
+@api.get("/docs", include_in_schema=False, response_class=HTMLResponse)
+async def docs(request: Request) -> HTMLResponse:
+    """The OpenAPI document for people, without the network that FastAPI's own page needs."""
+    return _page(request, "docs.html")
+
+
+def _page(request: Request, name: str) -> HTMLResponse:
+    text, policy = request.app.state.pages[name]
+    return HTMLResponse(text, headers={"Content-Security-Policy": policy, "Cache-Control": "no-cache"})
+
+
+def _neurons(model: SurfaceModel) -> dict[str, FloatArray]:
+    """Centres x, y (and z, where points are mapped to points), then their coefficients.
+
+    There is a column of coefficients for each spread, the greatest first, and for each output.
+    """
+    network = model.network
+    single = np.ndim(network.spread_) == 0
+    levels = network.coefficients_[None] if single else network.coefficients_
+    outputs = levels[:, :, None] if levels.ndim == 2 else levels
+    columns = dict(zip("xyz", network.centers_.T, strict=False))
+    for level, coefficients in enumerate(outputs):
+        for axis, values in zip("xyz", coefficients.T, strict=False):
+            number = "" if single else f"_{level}"
+            columns[f"coefficient{number}" + (f"_{axis}" if outputs.shape[2] > 1 else "")] = values
+    return columns
 
 
 def _bounded(wait: float, settings: Settings) -> float:
@@ -431,12 +454,12 @@ async def _deliver(
     return StreamingResponse(chain([first], others), media_type=form.media_type, headers=headers)
 
 
-def _viewer() -> tuple[str, str]:
-    """The page, and the policy that lets it run its own script and speak to this service, and nothing else."""
-    page = (files("receiver") / "viewer" / "index.html").read_text(encoding="utf-8")
-    script = page.partition("<script>")[2].partition("</script>")[0]
+def _read_page(name: str) -> tuple[str, str]:
+    """A page, and the policy that lets it run its own script and speak to this service, and nothing else."""
+    text = (files("receiver") / "viewer" / name).read_text(encoding="utf-8")
+    script = text.partition("<script>")[2].partition("</script>")[0]
     digest = b64encode(sha256(script.encode()).digest()).decode()
-    return page, (
+    return text, (
         f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src 'self' data:; "
         "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     )
@@ -486,12 +509,13 @@ def create_app(settings: Settings | None = None, *, train: Train = SurfaceModel.
         version=_version(),
         description=DESCRIPTION,
         lifespan=lifespan,
+        docs_url=None,
         redoc_url=None,
         responses=_problems(422, 500),
     )
     app.state.settings = known
     app.state.surfaces = None
-    app.state.viewer = _viewer()
+    app.state.pages = {name: _read_page(name) for name in ("index.html", "docs.html")}
     app.state.channel = Channel.parse(known.channel, seed=known.seed)
     app.include_router(api)
     install(app)

@@ -32,6 +32,9 @@ class Settings(BaseSettings):
     max_grid_cells: Annotated[
         int, Field(ge=1, le=64_000_000, description="Most cells of one height grid; larger ones are a 422.")
     ] = 4_000_000
+    max_std_cells: Annotated[
+        int, Field(ge=1, le=4_000_000, description="The same for a grid with standard deviations, which cost far more.")
+    ] = 100_000
     max_wait_seconds: Annotated[
         float, Field(ge=0, le=3_600, description="Longest ?wait=, in seconds; larger ones are a 422.")
     ] = 300.0

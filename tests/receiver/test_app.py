@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import base64
+import hashlib
 import io
 import itertools
 import json
@@ -256,6 +258,7 @@ async def test_bbox_is_a_part_of_the_same_surface(client: Client, features: Feat
         "shape=-3,5",
         "shape=1e3,5",
         "shape=2001,2000",
+        "shape=400,400&std=true",
         "shape=999999999,2",
         "bbox=0,0,1",
         "bbox=0,0,nan,1",
@@ -306,6 +309,33 @@ async def test_features_and_network(client: Client, features: FeatureSet) -> Non
     with np.load(io.BytesIO((await client.get("/v1/surfaces/hills/network?f=npz")).content)) as archive:
         np.testing.assert_array_equal(archive["x"], network["x"])
     assert_problem(await client.get("/v1/surfaces/hills/features?f=png"), 406, "json, csv")
+
+
+@pytest.mark.parametrize(
+    ("query", "columns"),
+    [
+        ("spread=0.8", ["x", "y", "coefficient"]),
+        (
+            "mapping=autoassociative",
+            ["x", "y", "z", "coefficient_x", "coefficient_y", "coefficient_z"],
+        ),
+    ],
+)
+async def test_the_network_is_its_centres_and_coefficients(
+    client: Client, features: FeatureSet, query: str, columns: list[str]
+) -> None:
+    await client.transmit(f"hills?{query}", b"".join(packets_of(features, "hills")))
+    lines = (await client.get("/v1/surfaces/hills/network?f=csv&wait=60")).text.splitlines()
+    assert lines[0].split(",") == columns
+    network = (await client.get("/v1/surfaces/hills/network")).json()
+    centers = np.column_stack([network["x"], network["y"]])
+    arrived = np.load(io.BytesIO((await client.get("/v1/surfaces/hills/features?f=npy")).content))
+    np.testing.assert_allclose(centers, arrived[:, :2], atol=1e-9)
+    if columns[-1] == "coefficient":
+        # What the columns say is the network: sum the neurons, and up to the bias the heights come out.
+        distances = np.sum((centers[:, None] - centers) ** 2, axis=2)
+        heights = np.exp(-distances / (2 * network["spread"] ** 2)) @ network["coefficient"]
+        assert np.ptp(arrived[:, 2] - heights) < 0.1
 
 
 async def test_list_is_in_pages_and_delete_removes(client: Client, features: FeatureSet) -> None:
@@ -461,6 +491,17 @@ async def test_nothing_is_answered_before_the_start(running: Running) -> None:
         assert_problem(answer, 503)
         assert answer.headers["retry-after"] == "1"
         assert (await late.get("/health/live")).status_code == 200
+
+
+async def test_pages_run_their_own_script_and_ask_nobody_else(client: Client) -> None:
+    for path in ("/", "/docs"):
+        page = await client.get(path)
+        assert page.headers["content-type"].startswith("text/html")
+        script = page.text.partition("<script>")[2].partition("</script>")[0]
+        digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+        assert f"script-src 'sha256-{digest}'" in page.headers["content-security-policy"]
+        assert not re.search(r"(src|href)=[\"'](https?:)?//", page.text)
+        assert page.text.count("<script") == 1
 
 
 async def test_the_openapi_document_is_complete(client: Client) -> None:
