@@ -13,13 +13,18 @@ from common.errors import NotReadyError, ParameterError, PointsError, TrainingEr
 from common.network import autoassociative, evaluation, greedy, robust, search
 from common.network.dense import Dense
 from common.network.kernel import Kernel, chunks, ladder_spreads, mean_spacing, nearest_distance
+from common.network.partition import Partition
 from common.network.selection import SMOOTHINGS, Fit, Samples, families, rounding_floor
 from common.surface import FloatArray, IntArray
 
 Callback: TypeAlias = Callable[[str, float], None]
 
 DENSE = 6000
-"""Points up to which one matrix holds the kernel: 288 MB a copy."""
+"""Distinct positions up to which one matrix holds the kernel: 288 MB a copy."""
+
+PATCHES = 2500
+"""Points in the plane above which many small networks take over: as accurate, and the faster the more points there
+are."""
 
 EXPLODED = 2.0
 """A fit whose leave-one-out error is this many times the deviation of the values is far worse than their mean."""
@@ -33,6 +38,10 @@ class RBFNetwork:
     """Gaussian radial basis function network for scattered data.
 
     f(x) = b + sum_l sum_j c_lj exp(-|x - x_j|^2 / 2 s_l^2)
+
+    Of more than `PATCHES` points in the plane the surface is a partition of unity of many such networks (see
+    `Partition`), unless fewer centres than points are asked for. In other dimensions, with `tolerance`, `max_centers`
+    or the autoassociative mapping there is one network of at most `DENSE` points.
 
     Parameters
     ----------
@@ -57,6 +66,7 @@ class RBFNetwork:
     ----------
     centers_ : ndarray, shape (n_centers, d)
     coefficients_ : ndarray, shape (n_centers,) or (n_centers, k); a leading axis of levels where there are several
+        Of patches: those of each patch in turn, the amplitudes of the levels left out.
     spread_ : float or ndarray, shape (levels,)
         Descending.
     smoothing_ : float
@@ -115,6 +125,10 @@ class RBFNetwork:
         self._check_settings()
         if self.mapping == "autoassociative" and values.shape[1] != 1:
             raise ParameterError(f"mapping 'autoassociative' takes one value a position, got {values.shape[1]}")
+        self._patches: Partition | None = None
+        all_centers = not self.tolerance and self.max_centers is None
+        if len(positions) > PATCHES and positions.shape[1] == 2 and self.mapping == "height" and all_centers:
+            return self._fit_patches(positions, values, single_output=np.ndim(y) == 1)
         notes: list[str] = []
         unique, means, weights, scatter, group = merge_repeated(positions, values)
         self._origin, self._unit = unique.mean(axis=0), float(np.sqrt(np.var(unique, axis=0).sum())) or 1.0
@@ -195,6 +209,33 @@ class RBFNetwork:
             )
             self.history_, self.stop_reason_ = np.zeros(0), "every point is a centre"
         self._tick("solve", 1.0)
+
+    def _fit_patches(self, positions: FloatArray, values: FloatArray, *, single_output: bool) -> Self:
+        """Many points in the plane: a partition of unity."""
+        spread = 2 * nearest_distance(np.unique(positions, axis=0)) if self.spread == "paper" else self.spread
+        self._level, deviation = values.mean(axis=0), values.std(axis=0)
+        self._height = np.where(deviation > 0, deviation, 1.0)
+        patches = Partition.fit(
+            positions,
+            (values - self._level) / self._height,
+            spread=spread if spread == "auto" else float(spread),
+            smoothing=self.smoothing if isinstance(self.smoothing, str) else float(self.smoothing),
+            tick=self._tick,
+        )
+        self._patches, self._single_output, self._lifted = patches, single_output, False
+        self.n_features_in_ = positions.shape[1]
+        self.outliers_ = np.zeros(0, dtype=np.int64)
+        self.history_, self.stop_reason_, self.notes_ = np.zeros(0), "every point is a centre", ()
+        self._publish_patches(patches)
+        return self
+
+    def _publish_patches(self, patches: Partition) -> None:
+        self.centers_ = patches.centers
+        self.coefficients_ = self._shaped(patches.coefficients * self._height)
+        spreads = np.median(patches.spreads, axis=0)
+        self.spread_ = float(spreads[0]) if len(spreads) == 1 else spreads
+        self.bias_ = self._level + np.mean(patches.bias, axis=0) * self._height
+        self.smoothing_ = float(np.median(patches.smoothing))
 
     def _select(self, samples: Samples, smoothing: float | None, *, quick: bool = False) -> Fit:
         extent = float(np.ptp(samples.X, axis=0).max()) or 1.0
@@ -280,6 +321,13 @@ class RBFNetwork:
 
         The deviation is that of the surface, without the noise of a new measurement.
         """
+        self._check_fitted()
+        if self._patches is not None:
+            positions = self._positions(X)
+            heights = self._shaped(self._patches.predict(positions) * self._height + self._level)
+            if not return_std:
+                return heights
+            return heights, self._shaped(self._patches.predict_std(positions) * self._height)
         scaled = self._scaled(X)
         if self._lifted:
             values, slope = self._lifted_heights(scaled)
@@ -309,6 +357,9 @@ class RBFNetwork:
             if return_std:
                 return found[0].reshape(shape), found[1].reshape(shape)
             return found.reshape(shape)
+        if self._patches is not None:
+            grid = self._patches.predict_grid(axis_x, axis_y) * self._height + self._level
+            return np.ascontiguousarray(grid[:, :, 0]) if self._single_output else grid
         values = evaluation.evaluate_grid(
             (axis_x - self._origin[0]) / self._unit,
             (axis_y - self._origin[1]) / self._unit,
@@ -321,6 +372,10 @@ class RBFNetwork:
 
     def predict_gradient(self, X: npt.ArrayLike) -> FloatArray:
         """Derivatives at X (m, d), shape (m, d) or (m, k, d), in units of y over units of X."""
+        self._check_fitted()
+        if self._patches is not None:
+            slopes = self._patches.predict_gradient(self._positions(X)) * self._height[:, None]
+            return np.asarray(slopes[:, 0] if self._single_output else slopes)
         scaled = self._scaled(X)
         if self._lifted:
             values, slope = self._lifted_heights(scaled)
@@ -352,11 +407,14 @@ class RBFNetwork:
         return np.asarray(values[:, 0] if self._single_output else values)
 
     def _scaled(self, X: npt.ArrayLike) -> FloatArray:
+        return np.asarray((self._positions(X) - self._origin) / self._unit, dtype=np.float64)
+
+    def _positions(self, X: npt.ArrayLike) -> FloatArray:
         self._check_fitted()
         positions = _finite(X, "X")
         if positions.ndim != 2 or positions.shape[1] != self.n_features_in_:
             raise PointsError(f"X has the shape {positions.shape}; the network expects (m, {self.n_features_in_})")
-        return np.asarray((positions - self._origin) / self._unit, dtype=np.float64)
+        return positions
 
     def _check_fitted(self) -> None:
         if not hasattr(self, "centers_"):
@@ -378,6 +436,9 @@ class RBFNetwork:
         """Everything that was learnt, as arrays that `numpy.savez` takes without pickling."""
         self._check_fitted()
         state: dict[str, np.ndarray[Any, Any]] = {}
+        if self._patches is not None:
+            state = {name: np.asarray(getattr(self, key)) for name, key in _PATCHES_STATE.items()}
+            return state | {f"patches_{name}": value for name, value in self._patches.to_state().items()}
         for name, key in _STATE.items():
             state[name] = np.asarray(getattr(self, key))
         state["kernel_spreads"], state["kernel_amplitudes"] = self._kernel.spreads, self._kernel.amplitudes
@@ -387,10 +448,16 @@ class RBFNetwork:
     def from_state(cls, state: dict[str, np.ndarray[Any, Any]]) -> Self:
         """The network that `to_state` wrote."""
         network = cls()
-        for name, key in _STATE.items():
+        patched = {name.removeprefix("patches_"): value for name, value in state.items() if name.startswith("patches_")}
+        for name, key in (_PATCHES_STATE if patched else _STATE).items():
             value = state[name]
             setattr(network, key, value.item() if value.ndim == 0 else np.array(value))
         network.notes_ = tuple(np.atleast_1d(network.notes_).tolist())
+        network._patches = Partition.from_state(patched) if patched else None
+        if network._patches is not None:
+            network._lifted = False
+            network._publish_patches(network._patches)
+            return network
         network._kernel = Kernel(np.array(state["kernel_spreads"]), np.array(state["kernel_amplitudes"]))
         network._factor = None
         network._publish()
@@ -419,6 +486,10 @@ _STATE = {
     "height": "_height",
     "smoothing": "_lambda",
     "variance": "_variance",
+}
+_PATCHES_STATE = {
+    name: _STATE[name]
+    for name in ("features", "single_output", "history", "stop_reason", "outliers", "notes", "level", "height")
 }
 
 

@@ -57,8 +57,11 @@ TILE = 64
 QUERIES = 256
 """Most scattered positions that a patch evaluates at once."""
 
-SAMPLE = 24
-"""Patches that choose kernel and smoothing."""
+FEW, MORE = 16, 96
+"""Patches that sort the kernels out, and patches that choose among the likely ones."""
+
+LIKELY = 4
+"""Kernels that more patches choose from."""
 
 LADDER: FloatArray = np.asarray(32.0 / 2.0 ** np.arange(8))
 """Spreads of the ladder in mean spacings; a patch is about ten spacings wide. A step of two is as good as the dense
@@ -247,17 +250,25 @@ class Partition:
             smoothings = SMOOTHINGS[floor <= SMOOTHINGS]
         if len(kernels) == len(smoothings) == 1:
             return kernels[0], float(smoothings[0])
-        rng = np.random.default_rng(0)
         usual = np.flatnonzero((counts >= min(40, counts.max())) & (counts <= 4 * np.median(counts)))
-        sample = rng.permutation(usual if len(usual) else np.arange(len(self)))[:SAMPLE]
+        drawn = np.random.default_rng(0).permutation(usual if len(usual) else np.arange(len(self)))
+        few, more = drawn[:FEW], drawn[FEW:MORE]
         tick("selection", 0.0)
-        scores = parallel(
+        found = parallel(
             lambda patch: self._scores(int(patch), values, kernels, smoothings),
-            sample,
-            tick=lambda fraction: tick("selection", fraction),
+            few,
+            tick=lambda fraction: tick("selection", fraction / 2),
         )
-        best = np.unravel_index(int(np.argmin(np.sum(scores, axis=0))), (len(kernels), len(smoothings)))
-        return kernels[best[0]], float(smoothings[best[1]])
+        total = np.sum(found, axis=0)
+        likely = np.argsort(total.min(axis=1))[:LIKELY]
+        found = parallel(
+            lambda patch: self._scores(int(patch), values, [kernels[i] for i in likely], smoothings),
+            more,
+            tick=lambda fraction: tick("selection", (1 + fraction) / 2),
+        )
+        total = total[likely] + (np.sum(found, axis=0) if found else 0.0)
+        best = np.unravel_index(int(np.argmin(total)), total.shape)
+        return kernels[likely[best[0]]], float(smoothings[best[1]])
 
     def _scores(self, patch: int, values: FloatArray, kernels: list[Kernel], smoothings: FloatArray) -> FloatArray:
         """Score of each kernel and smoothing on one patch, shape (kernels, smoothings)."""
