@@ -8,7 +8,7 @@ from itertools import pairwise
 from common.channel.channel import Channel, Delivery
 from common.errors import ParameterError, WireError
 from common.wire import split
-from common.wire.framing import EXTENSION, MIN_PAYLOAD
+from common.wire.framing import CODED_EXTENSION, EXTENSION, MIN_PAYLOAD
 
 ATTEMPT_HEADER = "Surfacelink-Attempt"
 """Request header: 0 for the first sending of a transmission, 1, 2, ... for the next (absent: 0)."""
@@ -18,9 +18,9 @@ such as ``erasure=2, gaussian=10``, or ``none``."""
 MAX_ATTEMPT = 2**31 - 1
 
 PACKET_START = re.compile(
-    rb"(?:\xc7(?P<short>[\x%02x-\xff])|\xc8(?P<long>..))\x%02x" % (MIN_PAYLOAD, EXTENSION), re.DOTALL
+    b"(?:\xc7(?P<short>[%c-\xff])|\xc8(?P<long>..))[%c%c]" % (MIN_PAYLOAD, EXTENSION, CODED_EXTENSION), re.DOTALL
 )
-"""How a packet starts: a msgpack extension of our type, its length in one byte or in two."""
+"""How a packet starts: a msgpack extension of one of our types, its length in one byte or in two."""
 
 _TRANSMISSION = re.compile(r"/v1/transmissions/(?P<transmission>[^/]+)/?")
 

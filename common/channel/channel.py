@@ -10,7 +10,7 @@ from typing import Annotated, Any, Self, Union
 
 from pydantic import Field, TypeAdapter
 
-from common.channel.datagram import launch
+from common.channel.datagram import deliver, launch
 from common.channel.impairment import Impairment
 from common.channel.impairments import IMPAIRMENTS
 from common.channel.notation import (
@@ -160,7 +160,7 @@ class Channel:
             flight = impairment.apply(flight, Passage(impairment.kind, draws, scale, log))
         flight.sort(key=lambda datagram: datagram.at)
         return Delivery(
-            packets=tuple(datagram.delivered() for datagram in flight),
+            packets=tuple(deliver(flight)),
             faults=tuple(sorted(log, key=lambda fault: (fault.packet, fault.copy))),
             times=tuple(datagram.at for datagram in flight),
         )

@@ -8,27 +8,30 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Self
 
+import numpy as np
+
 from common.errors import WireError
 from common.surface import FloatArray
-from common.wire import Packet, PacketDecoder, repack, split
+from common.wire import Packet, PacketDecoder, inner, repack, split
+from common.wire.framing import CODED_EXTENSION, framing_bytes
+from common.wire.inner import Shape
 
 NOT_A_PACKET = 1 << 31
 """Instead of the repeat number of a datagram that is no packet, so that it never shares the draws of a packet."""
 
 MAX_TWIN = 2**56
 
-BATCH = 256
-"""Datagrams decoded at once: one that is damaged makes only its batch be decoded one by one."""
+BATCH = 1024
+"""Datagrams decoded or corrected at once: bounds the memory, and what one damaged datagram costs the others."""
 
 
 def decode(data: bytes) -> Packet | None:
-    """The one packet that `data` holds, or None where it holds none, several or one that cannot be used."""
-    decoder = PacketDecoder()
+    """The one packet that `data` is, uncorrected; None where it is none, several or one that cannot be used."""
     try:
-        packets = [*decoder.feed(data), *decoder.close()]
+        packets = PacketDecoder().feed(data) if len(split(data)) == 1 else []
     except WireError:
         return None
-    return packets[0] if len(packets) == 1 and not decoder.damaged else None
+    return packets[0] if packets else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,11 +66,6 @@ class Datagram:
     twin: int = 0
     """0 for the datagram that was sent; for a duplicate made on the way, a number drawn for it, below `MAX_TWIN`."""
 
-    @property
-    def intact(self) -> Packet | None:
-        """The packet that can still be decoded, or None."""
-        return self.sent.packet if self.data is self.sent.data else decode(self.data)
-
     def damaged(self, data: bytes) -> Self:
         """The same datagram with other bytes."""
         return replace(self, data=data)
@@ -76,32 +74,13 @@ class Datagram:
         """The same datagram, arriving later."""
         return replace(self, at=self.at + seconds)
 
-    def delivered(self) -> bytes:
-        """The bytes that arrive."""
-        packet = self.intact if self.points is not None else None
-        if packet is None or self.points is None or packet.points.shape != self.points.shape:
-            return self.data
-        return repack(packet, self.points)
-
-
-def _decode_all(packets: Sequence[bytes]) -> list[Packet | None]:
-    """`decode` of each; at once where all are intact, which spares the headers that they repeat."""
-    decoder, body = PacketDecoder(), b"".join(packets)
-    with suppress(WireError):
-        found = [*decoder.feed(body), *decoder.close()]
-        if len(found) == len(packets) and not decoder.damaged and split(body) == list(packets):
-            return [*found]
-    return [decode(data) for data in packets]
-
 
 def launch(packets: Sequence[bytes]) -> list[Datagram]:
     """The datagrams of one call, in the order given.
 
     What tells them apart depends on their contents alone, so that the order of arrival changes nothing.
     """
-    decoded = [
-        packet for start in range(0, len(packets), BATCH) for packet in _decode_all(packets[start : start + BATCH])
-    ]
+    decoded = [packet for start in range(0, len(packets), BATCH) for packet in _decode(packets[start : start + BATCH])]
     numbers = [index if packet is None else packet.number for index, packet in enumerate(decoded)]
     repeats = [NOT_A_PACKET if packet is None else 0 for packet in decoded]
     sent: Counter[int] = Counter()
@@ -110,3 +89,62 @@ def launch(packets: Sequence[bytes]) -> list[Datagram]:
             repeats[index] = sent[numbers[index]]
             sent[numbers[index]] += 1
     return [Datagram(Sent(*each), each[0]) for each in zip(packets, decoded, numbers, repeats, strict=True)]
+
+
+def intact(flight: Sequence[Datagram]) -> list[Packet | None]:
+    """Of each datagram the packet that can still be decoded, with the help of the inner code if it has one, or None."""
+    packets = [datagram.sent.packet if datagram.data is datagram.sent.data else None for datagram in flight]
+    harmed = [index for index, datagram in enumerate(flight) if datagram.data is not datagram.sent.data]
+    data = [flight[index].data for index in harmed]
+    shapes = [_shape(flight[index].sent.data) for index in harmed]
+    for index, packet in zip(harmed, map(decode, _repair(data, shapes)), strict=True):
+        packets[index] = packet
+    return packets
+
+
+def deliver(flight: Sequence[Datagram]) -> list[bytes]:
+    """The bytes that arrive: moved points are written into what can still be decoded."""
+    arriving = [datagram.data for datagram in flight]
+    moved = [index for index, datagram in enumerate(flight) if datagram.points is not None]
+    for index, packet in zip(moved, intact([flight[index] for index in moved]), strict=True):
+        points = flight[index].points
+        if packet is not None and points is not None and packet.points.shape == points.shape:
+            arriving[index] = repack(packet, points)
+    return arriving
+
+
+def _decode(packets: Sequence[bytes]) -> list[Packet | None]:
+    """`decode` of each, after correction; at once where all are intact, which spares the headers that they repeat."""
+    decoder, body = PacketDecoder(), b"".join(packets)
+    with suppress(WireError):
+        found = decoder.feed(body)
+        if len(found) == len(packets) and split(body) == list(packets):
+            return [*found]
+    decoded = [decode(data) for data in packets]
+    # The datagrams of a transmission are coded alike: the intact ones tell how to correct the others.
+    known = [shape for data, packet in zip(packets, decoded, strict=True) if packet and (shape := _shape(data))]
+    alike = {shape.size: shape for shape in known}
+    shapes = [None if packet else alike.get(len(data)) for data, packet in zip(packets, decoded, strict=True)]
+    return [packet or decode(data) for packet, data in zip(decoded, _repair(packets, shapes), strict=True)]
+
+
+def _shape(data: bytes) -> Shape | None:
+    """How an intact datagram is coded against bit errors, or None if it is not."""
+    start = framing_bytes(len(data))
+    coded = len(data) > start and data[start - 1] == CODED_EXTENSION
+    return inner.shape_of(memoryview(data)) if coded else None
+
+
+def _repair(data: Sequence[bytes], shapes: Sequence[Shape | None]) -> list[bytes]:
+    """The datagrams with their errors corrected as far as the inner code, of the shape each was sent in, goes."""
+    repaired = list(data)
+    for shape in {shape for shape in shapes if shape}:
+        # A datagram that is cut off lost bytes that the code can fill in again.
+        shortest = shape.size - shape.strength // 2
+        chosen = [i for i, own in enumerate(shapes) if own == shape and shortest <= len(data[i]) <= shape.size]
+        for batch in (chosen[start : start + BATCH] for start in range(0, len(chosen), BATCH)):
+            rows = np.frombuffer(b"".join(data[i].ljust(shape.size, b"\0") for i in batch), dtype=np.uint8)
+            words = inner.recover(rows.reshape(len(batch), shape.size), shape.strength)
+            for i, word in zip(batch, words, strict=True):
+                repaired[i] = word.tobytes()
+    return repaired

@@ -13,7 +13,7 @@ from typing import Annotated, ClassVar, Literal, Self, TypeAlias
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from common.channel.datagram import Datagram
+from common.channel.datagram import Datagram, intact
 from common.channel.passage import Passage
 from common.surface import FloatArray
 
@@ -102,9 +102,9 @@ class PointImpairment(Impairment):
         strength = self._strength(passage, columns)
         return [
             datagram
-            if passage.spares(datagram, self.probability)
-            else self._moved(datagram, columns, strength, passage)
-            for datagram in flight
+            if packet is None or not len(packet.points) or passage.spares(datagram, self.probability)
+            else self._moved(datagram, packet.points, columns, strength, passage)
+            for datagram, packet in zip(flight, intact(flight), strict=True)
         ]
 
     def _strength(self, passage: Passage, columns: list[int]) -> FloatArray:
@@ -120,11 +120,10 @@ class PointImpairment(Impairment):
                 strength = deviation * 10 ** (-(self.snr_db or 0.0) / 20)
         return np.clip(strength, -FLOAT_MAX, FLOAT_MAX)
 
-    def _moved(self, datagram: Datagram, columns: list[int], strength: FloatArray, passage: Passage) -> Datagram:
-        packet = datagram.intact
-        if packet is None or not len(packet.points):
-            return datagram
-        points = np.array(packet.points if datagram.points is None else datagram.points)
+    def _moved(
+        self, datagram: Datagram, sent: FloatArray, columns: list[int], strength: FloatArray, passage: Passage
+    ) -> Datagram:
+        points = np.array(sent if datagram.points is None else datagram.points)
         with np.errstate(over="ignore"):
             added = self.draw((len(points), len(columns)), passage.rng(datagram)) * strength
             points[:, columns] = np.clip(points[:, columns] + added, -FLOAT_MAX, FLOAT_MAX)

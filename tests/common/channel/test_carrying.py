@@ -9,11 +9,20 @@ from hypothesis import strategies as st
 from common.channel import Channel
 from common.channel.carrying import attempt_of, carry, datagrams_of, faults_header, transmission_of
 from common.errors import ParameterError
+from common.surface import FeatureSet, FloatArray, Region
+from common.wire import WireOptions, encode
 
 
 def test_a_body_is_cut_into_its_datagrams(few_packets: list[bytes]) -> None:
     assert datagrams_of(b"".join(few_packets)) == few_packets
     assert datagrams_of(b"") == []
+
+
+def test_a_damaged_body_of_coded_packets_is_cut_where_they_start(points: FloatArray) -> None:
+    features = FeatureSet(points[:200], Region(-1, 1, -1, 1))
+    packets = encode(features, transmission="hills", options=WireOptions(inner=16))
+    body = b"".join([b"noise", *packets])
+    assert datagrams_of(body) == [b"noise", *packets]
 
 
 def test_a_damaged_body_loses_no_more_datagrams_than_were_damaged(few_packets: list[bytes]) -> None:

@@ -15,7 +15,7 @@ from common.channel import IMPAIRMENTS, Channel, Delivery, Impairment, PointImpa
 from common.channel.datagram import decode, launch
 from common.channel.impairments.clean import Clean
 from common.channel.impairments.rate import Rate
-from common.surface import FeatureSet, Region
+from common.surface import FeatureSet, FloatArray, Region
 from common.wire import PacketDecoder, WireOptions, encode
 
 HARMFUL = [model for model in IMPAIRMENTS if model is not Clean]
@@ -213,3 +213,35 @@ def test_a_delivery_decodes_as_one_body(few_packets: list[bytes]) -> None:
     assert [packet.number for packet in found] == [
         packet.number for packet in map(decode, delivery.packets) if packet is not None
     ]
+
+
+PROTECTED = [WireOptions(parity=0.5), WireOptions(copies=3), WireOptions(inner=16), WireOptions(precision=12)]
+
+
+@pytest.mark.parametrize("options", PROTECTED, ids=str)
+def test_protected_packets_are_told_apart_and_harmed_by_themselves(points: FloatArray, options: WireOptions) -> None:
+    packets = encode(FeatureSet(points[:500], Region(-1, 1, -1, 1)), transmission="hills", options=options)
+    decoded = [datagram.sent.packet for datagram in launch(packets)]
+    assert [packet.number for packet in decoded if packet is not None] == list(range(len(packets)))
+    delivery = Channel.parse("erasure:p=0.3;gaussian:std=0.1", seed=2).transmit(packets, transmission="hills")
+    lost = {(fault.packet, fault.copy) for fault in delivery.faults if fault.kind == "erasure"}
+    assert len(lost) == len(packets) - len(delivery.packets)
+    moved = {(fault.packet, fault.copy) for fault in delivery.faults if fault.kind == "gaussian"}
+    assert (
+        moved
+        == {(packet.sequence, packet.copy) for packet in decoded if packet is not None and len(packet.points)} - lost
+    )
+
+
+def test_noise_reaches_what_the_inner_code_repairs(points: FloatArray) -> None:
+    options = WireOptions(inner=16)
+    packets = encode(FeatureSet(points[:500], Region(-1, 1, -1, 1)), transmission="hills", options=options)
+    delivery = Channel.parse("bit_errors:ber=1e-3;gaussian:std=0.1", seed=2).transmit(packets, transmission="hills")
+    hit = {fault.packet for fault in delivery.faults if fault.kind == "bit_errors"}
+    moved = {fault.packet for fault in delivery.faults if fault.kind == "gaussian"}
+    assert hit & moved
+    # Sent on, a repaired packet is itself again: what comes first of two channels does not upset the second.
+    harmed = Channel.parse("bit_errors:ber=1e-3", seed=2).transmit(packets, transmission="hills").packets
+    numbers = [datagram.sent.packet.number for datagram in launch(harmed) if datagram.sent.packet is not None]
+    assert numbers == sorted(numbers)
+    assert len(numbers) > 0.9 * len(packets)
