@@ -11,7 +11,8 @@ from enum import IntEnum
 
 from common.errors import LimitError, PacketError, ParameterError, VersionError
 from common.surface import FEATURE_KINDS, UNITS, FeatureKind, Region, Units
-from common.wire.limits import MAX_BITS, MAX_COPIES, MAX_PACKETS, MIN_BITS
+from common.wire.cells import Cells
+from common.wire.limits import MAX_BITS, MAX_CELLS_A_SIDE, MAX_CELLS_PER_PACKET, MAX_COPIES, MAX_PACKETS, MIN_BITS
 from common.wire.numbers import Interval, Reader, write_real, write_varint
 
 VERSION = 1
@@ -34,6 +35,19 @@ class Form(IntEnum):
     FLOAT64 = 0
     FLOAT32 = 1
     QUANTISED = 2
+    COMPACT = 3
+    LATTICE = 4
+    COMPACT_LATTICE = 5
+
+
+LATTICES = frozenset({Form.LATTICE, Form.COMPACT_LATTICE})
+COMPACTS = frozenset({Form.COMPACT, Form.COMPACT_LATTICE})
+_OWN_CELLS = 0b1000_0000
+_FLOATING = frozenset({Form.FLOAT64, Form.FLOAT32})
+
+MIN_CELL_BITS = 3
+MAX_CELL_BITS = 16
+"""Bits of a position in its cell: at least the eighth that it lies in, at most what a word of the coder holds."""
 
 
 def transmission_tag(transmission: str) -> int:
@@ -47,12 +61,18 @@ class Grid:
 
     Parameters
     ----------
-    position_bits, height_bits : int
-        Bits of x and of y; of z.
+    position_bits : int
+        Bits of x and of y: over the region, or over a cell where there are cells; 0 on a lattice.
+    height_bits : int
+        Bits of z.
     x, y : Interval or None
         What the positions are quantised over; None is the region.
     z : Interval
         What the heights are quantised over.
+    cells : Cells or None
+        The cells that positions are relative to, or whose points a lattice consists of.
+    centred : bool
+        Whether the points of a lattice are the centres of the cells; if not, they divide the region from edge to edge.
     """
 
     position_bits: int
@@ -60,6 +80,8 @@ class Grid:
     z: Interval
     x: Interval | None = None
     y: Interval | None = None
+    cells: Cells | None = None
+    centred: bool = False
 
     def ranges(self, region: Region) -> tuple[tuple[float, float, int], ...]:
         """(low, high, bits) of x, y and z."""
@@ -135,9 +157,7 @@ class Header:
         if self.units != _NO_UNITS:
             parts.append(bytes([UNITS.index(self.units.xy) << 4 | UNITS.index(self.units.z)]))
         if self.grid is not None:
-            parts.append(bytes([self.grid.position_bits, self.grid.height_bits]))
-            parts.extend(box.to_bytes() for box in (self.grid.x, self.grid.y) if box)
-            parts.append(self.grid.z.to_bytes())
+            parts.append(_write_grid(self.grid))
         return b"".join(parts)
 
     @classmethod
@@ -176,9 +196,12 @@ class Header:
             region = Region(*bounds)
         except ParameterError as error:
             raise PacketError(f"a packet has an impossible region: {error}") from error
-        grid = _parse_grid(reader, boxed=bool(flags & _HAS_BOX)) if form is Form.QUANTISED else None
-        if grid is None and flags & _HAS_BOX:
-            raise PacketError("a packet has a quantisation box, but its points are not quantised")
+        if flags & _HAS_BOX and (form in LATTICES or form in _FLOATING):
+            raise PacketError("a packet has a quantisation box, but its positions are not quantised")
+        grid = None
+        if form not in _FLOATING:
+            grid = _parse_grid(reader, form, region, gap, boxed=bool(flags & _HAS_BOX))
+            _require_few(grid, total)
         kind = FEATURE_KINDS[flags & _KIND]
         return cls(tag, total, region, form, gap, kind, units, parity, grid, bool(flags & _ALTERED))
 
@@ -188,11 +211,53 @@ class Header:
             raise PacketError(f"a packet has the number {number} of {self.period} in at most {MAX_COPIES} copies")
 
 
-def _parse_grid(reader: Reader, *, boxed: bool) -> Grid:
-    position_bits, height_bits = reader.byte(), reader.byte()
-    if not all(MIN_BITS <= bits <= MAX_BITS for bits in (position_bits, height_bits)):
-        raise PacketError(
-            f"coordinates of {position_bits} and {height_bits} bits; accepted are {MIN_BITS} to {MAX_BITS}"
-        )
+def _write_grid(grid: Grid) -> bytes:
+    own_cells = grid.cells if grid.cells and grid.cells.side is None else None
+    first = grid.position_bits | _OWN_CELLS * (own_cells is not None) | grid.centred
+    parts = [bytes([first, grid.height_bits]), *(box.to_bytes() for box in (grid.x, grid.y) if box), grid.z.to_bytes()]
+    if own_cells:
+        parts += [write_varint(own_cells.rows), write_varint(own_cells.columns)]
+    return b"".join(parts)
+
+
+def _parse_grid(reader: Reader, form: Form, region: Region, gap: float | None, *, boxed: bool) -> Grid:
+    first, height_bits = reader.byte(), reader.byte()
+    if not MIN_BITS <= height_bits <= MAX_BITS:
+        raise PacketError(f"heights of {height_bits} bits; accepted are {MIN_BITS} to {MAX_BITS}")
     x, y = (reader.interval(), reader.interval()) if boxed else (None, None)
-    return Grid(position_bits, height_bits, reader.interval(), x, y)
+    z = reader.interval()
+    if form is Form.QUANTISED:
+        if not MIN_BITS <= first <= MAX_BITS:
+            raise PacketError(f"positions of {first} bits; accepted are {MIN_BITS} to {MAX_BITS}")
+        return Grid(first, height_bits, z, x, y)
+    if not first & _OWN_CELLS and gap is None:
+        raise PacketError("a packet refers to the pieces of a segment gap, but has none")
+    cells = _parse_cells(reader, region, None if first & _OWN_CELLS else gap)
+    bits = first & ~_OWN_CELLS
+    if form in LATTICES:
+        if bits > 1 or cells.side is not None:
+            raise PacketError("a packet describes an impossible lattice")
+        return Grid(0, height_bits, z, cells=cells, centred=bool(bits))
+    if not MIN_CELL_BITS <= bits <= MAX_CELL_BITS:
+        raise PacketError(f"positions of {bits} bits in a cell; accepted are {MIN_CELL_BITS} to {MAX_CELL_BITS}")
+    return Grid(bits, height_bits, z, x, y, cells)
+
+
+def _parse_cells(reader: Reader, region: Region, gap: float | None) -> Cells:
+    if gap is None:
+        cells = Cells(reader.varint(), reader.varint())
+    else:
+        try:
+            cells = Cells(*region.pieces(gap), gap)
+        except ParameterError as error:
+            raise PacketError(f"a packet has an impossible segment gap: {error}") from error
+    if not 0 < min(cells.rows, cells.columns) <= max(cells.rows, cells.columns) <= MAX_CELLS_A_SIDE:
+        raise PacketError(f"a packet has {cells.rows} x {cells.columns} cells; accepted are 1 to {MAX_CELLS_A_SIDE}")
+    return cells
+
+
+def _require_few(grid: Grid, total: int) -> None:
+    if grid.cells is not None:
+        most = grid.cells.most_per_packet(total)
+        if most > MAX_CELLS_PER_PACKET:
+            raise PacketError(f"a packet has {most} cells, more than are accepted")

@@ -17,6 +17,16 @@ DEFAULT_DATAGRAM = 256
 MAX_POINTS_PER_PACKET = 2_000
 """Points. As float64, the widest form, they still fit the 65,535 bytes that the length field of a packet can say."""
 
+MAX_COMPACT_POINTS = 512
+"""Points of a packet whose points are entropy-coded: more than fit the longest datagram unless hardly anything is said
+of each, and few enough that a packet is decoded in milliseconds."""
+
+MAX_CELLS_PER_PACKET = 4_096
+"""Cells of a compact packet, empty ones included; a sender makes them so large that half of them hold points."""
+
+MAX_CELLS_A_SIDE = 4_096
+"""Cells, or nodes of a lattice, along x and along y: sixteen million in all."""
+
 MAX_PACKETS = 262_144
 """Packets of one transmission, without parity and copies: four million points at 256 bytes a packet."""
 

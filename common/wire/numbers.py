@@ -171,6 +171,6 @@ class Reader:
             low, high = interval.bounds
         except OverflowError as error:
             raise PacketError("a quantisation interval in the header exceeds a double") from error
-        if not low < high:
+        if not 0 < high - low < math.inf:
             raise PacketError("a quantisation interval in the header has no extent")
         return interval

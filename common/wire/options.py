@@ -55,4 +55,7 @@ class WireOptions(BaseModel):
         default=0,
         description="Bytes of Reed-Solomon parity in each 255 of a datagram; half as many wrong bytes are corrected.",
     )
-    coding: Literal["plain"] = Field(default="plain", description="How the points of a packet are written.")
+    coding: Literal["plain", "compact"] = Field(
+        default="plain",
+        description="Plain: fixed width, fast. Compact: sorted, predicted and entropy-coded; of quantised points only.",
+    )

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from common.errors import PacketError
-from common.surface import FloatArray, Region
+from common.surface import FloatArray
 from common.wire.header import Form, Grid, Header
 
 _FLOATS: dict[Form, np.dtype[np.floating]] = {Form.FLOAT64: np.dtype("<f8"), Form.FLOAT32: np.dtype("<f4")}
@@ -34,7 +34,8 @@ def write_points(points: FloatArray, sizes: Sequence[int], header: Header) -> li
     if header.grid is None:
         rows = points.astype(_FLOATS[header.form], order="C").view(np.uint8).reshape(len(points), -1)
         return _cut(rows, sizes)
-    fields = quantise(points, header.grid, header.region)
+    ranges = header.grid.ranges(header.region)
+    fields = [quantise(column, *limits) for column, limits in zip(points.T, ranges, strict=True)]
     width = point_bits(header)
     if width % 8 or width > 64:
         return _write_ragged(fields, sizes, header.grid)
@@ -55,7 +56,8 @@ def read_points(blocks: Sequence[bytes], header: Header) -> tuple[FloatArray, li
     data = np.frombuffer(b"".join(blocks), dtype=np.uint8)
     if header.grid is None:
         dtype = _FLOATS[header.form]
-        return data.view(dtype).reshape(-1, 3).astype(np.float64), sizes
+        with np.errstate(invalid="ignore"):  # a signalling NaN; whoever asked throws NaN away
+            return data.view(dtype).reshape(-1, 3).astype(np.float64), sizes
     if width % 8 or width > 64:
         fields = _read_ragged(blocks, sizes, header.grid)
     else:
@@ -65,25 +67,21 @@ def read_points(blocks: Sequence[bytes], header: Header) -> tuple[FloatArray, li
         words = padded.view(">u8").ravel().astype(np.uint64)
         mask = np.uint64((1 << p) - 1)
         fields = [words >> np.uint64(p + h) & mask, words >> np.uint64(h) & mask, words & np.uint64((1 << h) - 1)]
-    return dequantise(fields, header.grid, header.region), sizes
+    ranges = header.grid.ranges(header.region)
+    columns = [dequantise(field, *limits) for field, limits in zip(fields, ranges, strict=True)]
+    return np.stack(columns, axis=1), sizes
 
 
-def quantise(points: FloatArray, grid: Grid, region: Region) -> list[UintArray]:
-    """x, y and z of (n, 3) points as integers; the ends of each range are represented exactly."""
-    fields = []
-    for column, (low, high, bits) in zip(points.T, grid.ranges(region), strict=True):
-        levels = (1 << bits) - 1
-        steps = np.rint((column - low) * (levels / (high - low)))
-        fields.append(np.clip(steps, 0, levels).astype(np.uint64))
-    return fields
+def quantise(values: FloatArray, low: float, high: float, bits: int) -> UintArray:
+    """Values within [low, high] as integers of `bits` bits; the ends are represented exactly."""
+    levels = (1 << bits) - 1
+    return np.clip(np.rint((values - low) * (levels / (high - low))), 0, levels).astype(np.uint64)
 
 
-def dequantise(fields: Sequence[UintArray], grid: Grid, region: Region) -> FloatArray:
-    """The (n, 3) points that `quantise` made integers of, each coordinate within half a step."""
-    points = np.empty((len(fields[0]), 3))
-    for column, (steps, (low, high, bits)) in enumerate(zip(fields, grid.ranges(region), strict=True)):
-        points[:, column] = np.minimum(low + steps * ((high - low) / ((1 << bits) - 1)), high)
-    return points
+def dequantise(steps: npt.NDArray[np.integer], low: float, high: float, bits: int) -> FloatArray:
+    """The values that `quantise` made integers of, each within half a step."""
+    values: FloatArray = np.minimum(low + steps * ((high - low) / ((1 << bits) - 1)), high)
+    return values
 
 
 def _cut(rows: ByteArray, sizes: Sequence[int]) -> list[bytes]:

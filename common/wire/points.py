@@ -1,21 +1,64 @@
-"""The points of packets, by their form."""
+"""The points of packets, written and read in the form that their header names."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import accumulate, pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from common.errors import PacketError
-from common.wire.header import Header
-from common.wire.limits import MAX_POINTS_PER_PACKET
+from common.surface import FloatArray, IntArray
+from common.wire import compact, lattice
+from common.wire.compact import Steps
+from common.wire.header import COMPACTS, LATTICES, Form, Header
+from common.wire.limits import MAX_COMPACT_POINTS, MAX_POINTS_PER_PACKET
 from common.wire.packet import Packet
-from common.wire.plain import point_bits, read_points
+from common.wire.plain import dequantise, point_bits, quantise, read_points, write_points
+
+
+class Load(NamedTuple):
+    """What the fullest packet of a transmission holds."""
+
+    bytes: int
+    """Of points."""
+    share: float
+    """Of the points that are accepted at most."""
+
+
+def load(points: FloatArray, header: Header) -> Load:
+    """The load of the packets that `write` makes; of compact ones an estimate, from some of them."""
+    if header.form in COMPACTS:
+        messages = compact.write_steps(_steps(points, header), header, most=compact.LANES)
+        return Load(max(map(len, messages.blocks)), messages.most / MAX_COMPACT_POINTS)
+    most = (
+        lattice.cells_of(header).most(header.total) if header.form is Form.LATTICE else -(-len(points) // header.total)
+    )
+    return Load(-(-most * point_bits(header) // 8), most / MAX_POINTS_PER_PACKET)
+
+
+def write(points: FloatArray, header: Header) -> list[bytes]:
+    """The points, shape (n, 3), packet by packet. Plain forms deal them out in the order in which they come."""
+    if header.form in COMPACTS:
+        return compact.write_steps(_steps(points, header), header).blocks
+    if header.form is Form.LATTICE:
+        steps = _steps(points, header)
+        heights = np.empty(len(points), dtype=np.int64)
+        heights[steps.y * lattice.cells_of(header).columns + steps.x] = steps.z
+        return lattice.write_heights(heights, header)
+    return write_points(*deal(points, header.total), header)
 
 
 def check_block(header: Header, block: bytes) -> None:
-    """PacketError unless `block` can be the points of one packet."""
+    """PacketError unless `block` can be the points of one packet; what takes decoding to see, passes."""
+    if header.form in COMPACTS:
+        if len(block) < compact.MIN_BLOCK:
+            raise PacketError(f"the points of a packet take at least {compact.MIN_BLOCK} bytes")
+        return
+    if header.form is Form.LATTICE:
+        return
     width = point_bits(header)
     count = 8 * len(block) // width
     if not 0 < count <= MAX_POINTS_PER_PACKET or len(block) != -(-count * width // 8):
@@ -23,18 +66,97 @@ def check_block(header: Header, block: bytes) -> None:
 
 
 def decode_packets(header: Header, numbered: Sequence[tuple[int, bytes]]) -> list[Packet]:
-    """The packets with points of one header, from their numbers and checked blocks, all at once.
+    """The packets with points of one header, from their numbers and their blocks, all at once.
 
-    Packets with points that are not finite are left out. The blocks must have passed `check_block`.
+    Malformed packets are left out, and those with points that are not finite. The blocks must have passed
+    `check_block`.
     """
     if not numbered:
         return []
-    points, sizes = read_points([block for _, block in numbered], header)
-    points.setflags(write=False)
-    packets = [
-        Packet(header, number, points[a:b], block)
-        for (number, block), (a, b) in zip(numbered, pairwise(accumulate(sizes, initial=0)), strict=True)
+    blocks, sequences = [block for _, block in numbered], [number % header.period for number, _ in numbered]
+    parts = _read(blocks, sequences, header)
+    return [
+        Packet(header, number, points, block)
+        for (number, block), points in zip(numbered, parts, strict=True)
+        if points is not None
     ]
+
+
+def _read(blocks: Sequence[bytes], sequences: Sequence[int], header: Header) -> list[FloatArray | None]:
+    if header.form in COMPACTS:
+        return _located(compact.read_steps(blocks, sequences, header), header)
+    if header.form is Form.LATTICE:
+        return _located(lattice.read_heights(blocks, sequences, header), header)
+    points, sizes = read_points(blocks, header)
+    return _cut(points, sizes)
+
+
+def deal(points: FloatArray, count: int) -> tuple[FloatArray, list[int]]:
+    """The points packet by packet, dealt out to `count` as cards are, and how many each packet holds."""
+    n = len(points)
+    sizes = [len(range(i, n, count)) for i in range(count)]
+    rounds = -(-n // count)
+    padded = np.full(rounds * count, -1)
+    padded[:n] = np.arange(n)
+    dealt = padded.reshape(rounds, count).T.ravel()
+    return points[dealt[dealt >= 0]], sizes
+
+
+def _cut(points: FloatArray, sizes: Sequence[int]) -> list[FloatArray | None]:
+    points.setflags(write=False)
+    parts: list[FloatArray | None] = [points[a:b] for a, b in pairwise(accumulate(sizes, initial=0))]
     if np.all(np.isfinite(points)):
-        return packets
-    return [packet for packet in packets if np.all(np.isfinite(packet.points))]
+        return parts
+    return [part if part is not None and np.all(np.isfinite(part)) else None for part in parts]
+
+
+def _steps(points: FloatArray, header: Header) -> Steps:
+    """The points in steps of the grid; on a lattice a step is a node."""
+    x_axis, y_axis = _axes(header)
+    z = quantise(points[:, 2], *lattice.grid_of(header).ranges(header.region)[2]).astype(np.int64)
+    return Steps(x_axis.steps(points[:, 0]), y_axis.steps(points[:, 1]), z)
+
+
+def _located(found: Sequence[Steps | None], header: Header) -> list[FloatArray | None]:
+    """The points of packets in coordinates: the inverse of `_steps`, for all at once."""
+    good = [steps for steps in found if steps is not None]
+    if not good:
+        return [None] * len(found)
+    x, y, z = (np.concatenate(values) for values in zip(*good, strict=True))
+    x_axis, y_axis = _axes(header)
+    heights = dequantise(z, *lattice.grid_of(header).ranges(header.region)[2])
+    points = np.stack([x_axis.coordinates(x), y_axis.coordinates(y), heights], axis=1)
+    parts = iter(_cut(points, [len(steps.z) for steps in good]))
+    return [None if steps is None else next(parts) for steps in found]
+
+
+@dataclass(frozen=True, slots=True)
+class _Axis:
+    """Steps along x or y: each stands for its middle, or for a node."""
+
+    low: float
+    step: float
+    count: int
+    nodes: FloatArray | None = None
+
+    def steps(self, values: FloatArray) -> IntArray:
+        if self.nodes is not None:
+            return np.rint(np.interp(values, self.nodes, np.arange(self.count))).astype(np.int64)
+        return np.clip(np.floor((values - self.low) / self.step), 0, self.count - 1).astype(np.int64)
+
+    def coordinates(self, steps: IntArray) -> FloatArray:
+        if self.nodes is not None:
+            return self.nodes[steps]
+        return np.asarray(self.low + (steps + 0.5) * self.step, dtype=np.float64)
+
+
+def _axes(header: Header) -> tuple[_Axis, _Axis]:
+    grid, cells = lattice.grid_of(header), lattice.cells_of(header)
+    if header.form in LATTICES:
+        x, y = lattice.axes(header.region, cells.rows, cells.columns, centred=grid.centred)
+        return _Axis(0.0, 0.0, cells.columns, x), _Axis(0.0, 0.0, cells.rows, y)
+    found = []
+    for (low, high, bits), count in zip(grid.ranges(header.region), (cells.columns, cells.rows), strict=False):
+        side = cells.side or (high - low) / count
+        found.append(_Axis(low, side / 2**bits, count << bits))
+    return found[0], found[1]
