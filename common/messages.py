@@ -18,6 +18,7 @@ class PacketCounts(BaseModel):
     damaged: int = Field(description="Packets that were found damaged and dropped.")
     duplicate: int = Field(description="Packets that had arrived before.")
     foreign: int = Field(default=0, description="Packets of another transmission.")
+    rebuilt: int = Field(default=0, description="Packets that did not arrive and were rebuilt from parity.")
     total: int | None = Field(description="Packets the transmission consists of; null before the first arrives.")
     missing: list[int] = Field(description="Sequence numbers that have not arrived.")
 

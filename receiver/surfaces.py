@@ -353,6 +353,7 @@ def _contents(
         damaged=(before.damaged if before else 0) + delivery.damaged,
         duplicate=(before.duplicate if before else 0) + delivery.duplicate,
         foreign=(before.foreign if before else 0) + delivery.foreign,
+        rebuilt=reassembly.rebuilt,
         total=reassembly.total,
         missing=[] if reassembly.total is None else list(reassembly.missing),
     )

@@ -91,6 +91,9 @@ def send(
     datagram: Annotated[int, typer.Option(help="Longest packet, in bytes.")] = WireOptions().datagram,
     precision: Annotated[str, typer.Option(help="float64, float32, or bits an axis.")] = str(WireOptions().precision),
     coding: Annotated[Literal["plain", "compact"], typer.Option(help="How points are packed.")] = WireOptions().coding,
+    parity: Annotated[float, typer.Option(help="Packets of parity as a share of those with points.")] = 0.0,
+    copies: Annotated[int, typer.Option(help="How often each packet is sent.")] = 1,
+    inner: Annotated[int, typer.Option(help="Bytes of Reed-Solomon parity in each 255 of a packet; 0 for none.")] = 0,
     channel: Annotated[
         str, typer.Option(help="Harm the packets on their way out, e.g. gaussian:std=0.1,axes=xyz;erasure:p=0.05")
     ] = "",
@@ -99,7 +102,8 @@ def send(
 ) -> None:
     """Send a surface, or a file of points, to a receiver."""
     harm = Channel.parse(channel, seed=channel_seed)
-    wire: dict[str, Any] = {"datagram": datagram, "coding": coding}
+    wire: dict[str, Any] = {"datagram": datagram, "coding": coding, "parity": parity, "copies": copies}
+    wire["inner"] = inner
     wire["precision"] = int(precision) if precision.isdigit() else precision
     path = Path(what)
     is_file = what not in SURFACES and (path.exists() or len(path.parts) > 1 or bool(path.suffix))
@@ -121,14 +125,17 @@ def send(
     prepared = prepare(order, upload)
     console.print(
         f"{prepared.id}: {prepared.cloud} points -> {len(prepared.features)} feature points -> "
-        f"{len(prepared.packets)} packets, {sum(map(len, prepared.packets))} bytes"
+        f"{len(prepared.packets)} packets, {prepared.cost.total} bytes"
+        + (f", {prepared.cost.protection} of them for protection" if prepared.cost.protection else "")
     )
     sent = anyio.run(_send, prepared, order, receiver, harm, wait)
     counts = sent.receipt.packets
     total = "?" if counts.total is None else counts.total
     console.print(
         f"receiver: {counts.received} of {total} packets, {counts.damaged} damaged, {counts.duplicate} duplicate, "
-        f"{len(counts.missing)} missing, {sent.retransmitted} sent again; holds {sent.receipt.points} points"
+        f"{counts.rebuilt} rebuilt, {len(counts.missing)} missing, {sent.retransmitted} sent again; "
+        f"holds {sent.receipt.points} points",
+        soft_wrap=True,
     )
     console.print(f"curl {receiver.rstrip('/')}/v1/surfaces/{prepared.id}", highlight=False, soft_wrap=True)
 

@@ -61,6 +61,7 @@ class TransmissionOut(BaseModel):
     feature_points: int
     packets: int = Field(description="Packets put on the air, retransmissions included.")
     bytes: int = Field(description="Bytes put on the air, retransmissions included.")
+    protection_bytes: int = Field(description="Bytes of one sending that are there for the channel's sake.")
     retransmissions: int = Field(0, description="Packets sent again.")
     receipt: Receipt | None = Field(None, description="The receiver's last receipt.")
     links: dict[str, str] = Field(default_factory=dict)
@@ -96,7 +97,8 @@ class Desk:
             cloud_points=prepared.cloud,
             feature_points=len(prepared.features),
             packets=len(prepared.packets),
-            bytes=sum(map(len, prepared.packets)),
+            bytes=prepared.cost.total,
+            protection_bytes=prepared.cost.protection,
             links={"surface": f"{self._settings.receiver.rstrip('/')}/v1/surfaces/{prepared.id}"},
         )
         self._forget()

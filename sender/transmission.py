@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from common.errors import ParameterError
 from common.network.model import NetworkSettings
 from common.surface import FeatureSet, FloatArray, Region, Unit, Units
-from common.wire import WireOptions, encode
+from common.wire import Cost, WireOptions, cost, encode
 from sender.client import ReceiverClient, Sent
 from sender.features import Repeated, extract_features
 from sender.surfaces import find_surface
@@ -53,11 +53,7 @@ class Prepared:
     cloud: int
     features: FeatureSet
     packets: list[bytes]
-
-    @property
-    def cloud_bytes(self) -> int:
-        """Bytes of the dense cloud, as plain float64."""
-        return self.cloud * 24
+    cost: Cost
 
 
 def prepare(order: Order, upload: tuple[str, Callable[[], FloatArray]] | None = None) -> Prepared:
@@ -92,7 +88,10 @@ def prepare(order: Order, upload: tuple[str, Callable[[], FloatArray]] | None = 
         raise ParameterError("name a surface or give a file: one of the two")
     features = extract_features(cloud, gap=gap, kind=order.kind, region=region, repeated=order.repeated, units=units)
     transmission = order.id or transmission_id(name)
-    return Prepared(transmission, len(cloud), features, encode(features, transmission=transmission, options=order.wire))
+    packets = encode(features, transmission=transmission, options=order.wire)
+    return Prepared(
+        transmission, len(cloud), features, packets, cost(features, transmission=transmission, options=order.wire)
+    )
 
 
 def _usual_gap(cloud: FloatArray) -> float | None:

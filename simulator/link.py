@@ -58,7 +58,7 @@ class Link:
 
     def __init__(self, url: str, transport: Callable[[], httpx.AsyncBaseTransport], sleep: Sleep = anyio.sleep) -> None:
         self._url = url
-        self._transport = transport
+        self.transport = transport
         self._sleep = sleep
 
     @classmethod
@@ -117,7 +117,7 @@ class Link:
             As the receiver's problem says.
         """
         packets = encode(features, transmission=transmission, options=options)
-        transport = ChannelTransport(self._transport(), channel, sleep=_virtual)
+        transport = ChannelTransport(self.transport(), channel, sleep=_virtual)
         async with ReceiverClient.connect(self._url, transport, self._sleep) as client:
             sent = await client.send(
                 packets, transmission=transmission, rounds=rounds, network=network.model_dump(exclude_defaults=True)

@@ -103,6 +103,22 @@ def test_what_is_lost_is_sent_again_until_it_is_there(tmp_path: Path) -> None:
     np.testing.assert_array_equal(many.grid.z, clean.grid.z)
 
 
+def test_parity_rebuilds_what_is_lost_and_keeps_it_over_a_restart(tmp_path: Path) -> None:
+    protected = WireOptions(datagram=64, parity=0.5)
+    outcome = sent(tmp_path, channel=Channel.parse("erasure:p=0.15", seed=2), options=protected)
+    counts = outcome.sent.receipt.packets
+    assert counts.rebuilt > 0
+    assert counts.missing == []
+    np.testing.assert_array_equal(outcome.features, sent(tmp_path / "clean", options=protected).features)
+
+    async def again(link: Link) -> dict[str, Any]:
+        client = ReceiverClient.connect("http://receiver.invalid", link.transport())
+        async with client:
+            return await client.surface("a")
+
+    assert linked(tmp_path, again)["packets"] == outcome.surface["packets"]
+
+
 def test_where_nothing_arrives_the_error_says_so(tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match="nothing of a reached"):
         sent(tmp_path, channel=Channel.parse("erasure:p=1"))

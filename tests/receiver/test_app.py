@@ -62,6 +62,7 @@ async def test_a_transmission_becomes_a_surface(client: Client, features: Featur
         "damaged": 0,
         "duplicate": 0,
         "foreign": 0,
+        "rebuilt": 0,
         "total": len(packets),
         "missing": [],
     }
