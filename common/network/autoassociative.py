@@ -9,10 +9,13 @@ back, in cross-validation, not by how well the network maps its own points.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from scipy.spatial import KDTree
 
+from common.network import evaluation
 from common.network.dense import Dense
 from common.network.kernel import Kernel, chunks, nearest_distance, squared_distances
 from common.network.selection import rounding_floor
@@ -32,20 +35,113 @@ LEAST_SLOPE = 0.1
 """Where z - f_z(z) rises by less than this, Newton's step is not to be trusted."""
 
 
-def heights(
-    X: FloatArray, points: FloatArray, spread: float, coefficients: FloatArray, bias: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Fixed points in the last coordinate at X (m, d), shape (m,), and the slope of f_z by z there (m,).
+@dataclass(slots=True, eq=False)
+class Lifted:
+    """(x, z) -> (x, z) by one spread, and the heights that are its fixed points.
 
-    Newton's method from the value of the nearest of the points (n, d + 1), kept within twice their range.
-    `coefficients` (n, d + 1) and `bias` (d + 1,) are those of the map.
+    Attributes
+    ----------
+    centers : ndarray, shape (n, d + 1)
+        The points; the last column is the height.
+    spread, smoothing : float
+    coefficients : ndarray, shape (n, d + 1)
+    bias : ndarray, shape (d + 1,)
+    weights : ndarray, shape (n,)
+        Measurements behind each point.
+    variance : float
+        Of the height, as the kernel explains it.
     """
-    z, slope = np.empty(len(X)), np.empty(len(X))
-    start = points[KDTree(points[:, :-1]).query(X)[1], -1]
-    for part in chunks(len(X), len(points)):
-        level = np.exp(squared_distances(X[part], points[:, :-1]) * (-0.5 / spread**2))
-        z[part], slope[part] = _fixed_points(level * coefficients[:, -1], points[:, -1], spread, bias[-1], start[part])
-    return z, slope
+
+    centers: FloatArray
+    spread: float
+    smoothing: float
+    coefficients: FloatArray
+    bias: FloatArray
+    weights: FloatArray
+    variance: float = 0.0
+
+    @classmethod
+    def fit(
+        cls,
+        points: FloatArray,
+        weights: FloatArray,
+        spread: float | None,
+        smoothing: float | None,
+        tick: Callable[[float], None],
+    ) -> Self:
+        """Fit to points (n, d + 1); spread and smoothing are chosen where they are None."""
+        spread, smoothing = _choose(points, weights, spread, smoothing, tick)
+        network, dense = cls.solved(points, weights, spread, smoothing)
+        residuals, deviations = dense.leave_one_out(network.coefficients)
+        network.variance = float(np.mean(residuals[:, -1] ** 2 / deviations))
+        return network
+
+    @classmethod
+    def solved(cls, points: FloatArray, weights: FloatArray, spread: float, smoothing: float) -> tuple[Self, Dense]:
+        """The network of a given spread and smoothing, without its variance, and the factorisation."""
+        dense = Dense(Kernel.single(spread).gram(points), weights, max(smoothing, rounding_floor(len(points))))
+        coefficients, bias = dense.solve(points)
+        return cls(points, spread, dense.smoothing, coefficients, bias, weights), dense
+
+    def predict(self, X: FloatArray) -> FloatArray:
+        """Heights at X (m, d), shape (m, 1)."""
+        return self._heights(X)[0][:, None]
+
+    def predict_grid(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Heights on a grid, shape (len(y), len(x), 1): point by point, a fixed point does not separate."""
+        nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        return self.predict(nodes).reshape(len(y), len(x), 1)
+
+    def predict_gradient(self, X: FloatArray) -> FloatArray:
+        """Derivatives of the height at X (m, d), shape (m, 1, d): f_zx / (1 - f_zz), as z = f_z(x, z)."""
+        z, slope = self._heights(X)
+        here, c = np.column_stack([X, z]), self.coefficients[None, :, -1:]
+        slopes = evaluation.gradient(here, self.centers, np.array([self.spread]), c)[:, :, :-1]
+        return np.asarray(slopes / _steepness(slope)[:, None, None])
+
+    def predict_std(self, X: FloatArray) -> FloatArray:
+        """Deviation of the height at X (m, d), shape (m, 1)."""
+        kernel = Kernel.single(self.spread)
+        dense = Dense(kernel.gram(self.centers), self.weights, self.smoothing)
+        z, slope = self._heights(X)
+        here = np.column_stack([X, z])
+        variance = np.empty(len(X))
+        for part in chunks(len(X), len(self.centers)):
+            variance[part] = dense.posterior_variance(kernel.gram(self.centers, here[part]))
+        return np.asarray((np.sqrt(self.variance * variance) / np.abs(_steepness(slope)))[:, None])
+
+    def _heights(self, X: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Fixed points at X (m, d), shape (m,), and the slope of f_z by z there (m,).
+
+        Newton's method from the height of the nearest point, kept within twice the range of the heights.
+        """
+        z, slope = np.empty(len(X)), np.empty(len(X))
+        flat, nodes = self.centers[:, :-1], self.centers[:, -1]
+        start = nodes[KDTree(flat).query(X)[1]]
+        for part in chunks(len(X), len(flat)):
+            terms = np.exp(squared_distances(X[part], flat) * (-0.5 / self.spread**2)) * self.coefficients[:, -1]
+            z[part], slope[part] = _fixed_points(terms, nodes, self.spread, float(self.bias[-1]), start[part])
+        return z, slope
+
+    def to_state(self) -> dict[str, np.ndarray[Any, Any]]:
+        """Everything, as arrays that `numpy.savez` takes without pickling."""
+        return {name: np.asarray(getattr(self, name)) for name in (*_ARRAYS, *_NUMBERS)}
+
+    @classmethod
+    def from_state(cls, state: dict[str, np.ndarray[Any, Any]]) -> Self:
+        """The network that `to_state` wrote."""
+        values: dict[str, Any] = {name: np.array(state[name]) for name in _ARRAYS}
+        values |= {name: float(state[name]) for name in _NUMBERS}
+        return cls(**values)
+
+
+_ARRAYS = ("centers", "coefficients", "bias", "weights")
+_NUMBERS = ("spread", "smoothing", "variance")
+
+
+def _steepness(slope: FloatArray) -> FloatArray:
+    """How fast z - f_z(z) rises; `LEAST_SLOPE` where it hardly does."""
+    return np.asarray(np.where(np.abs(1 - slope) > LEAST_SLOPE, 1 - slope, LEAST_SLOPE))
 
 
 def _fixed_points(
@@ -70,16 +166,7 @@ def _fixed_points(
     return z, slope
 
 
-def fit(
-    points: FloatArray, weights: FloatArray, spread: float, smoothing: float
-) -> tuple[FloatArray, FloatArray, Dense]:
-    """Coefficients (n, d + 1) and bias (d + 1,) of the map on the points (n, d + 1), and the factorisation."""
-    dense = Dense(Kernel.single(spread).gram(points), weights, max(smoothing, rounding_floor(len(points))))
-    coefficients, bias = dense.solve(points)
-    return coefficients, bias, dense
-
-
-def choose(
+def _choose(
     points: FloatArray,
     weights: FloatArray,
     spread: float | None,
@@ -106,6 +193,5 @@ def _held_out(
     points: FloatArray, weights: FloatArray, order: IntArray, fold: IntArray, spread: float, smoothing: float
 ) -> float:
     rows = np.setdiff1d(order, fold)
-    coefficients, bias, _ = fit(points[rows], weights[rows], spread, smoothing)
-    z, _ = heights(points[fold, :-1], points[rows], spread, coefficients, bias)
-    return float(np.sum((z - points[fold, -1]) ** 2))
+    network, _ = Lifted.solved(points[rows], weights[rows], spread, smoothing)
+    return float(np.sum((network.predict(points[fold, :-1])[:, 0] - points[fold, -1]) ** 2))

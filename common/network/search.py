@@ -31,10 +31,17 @@ from common.surface import FloatArray
 AVERAGED = 250
 """Points up to which every candidate is decomposed."""
 
-CLIMBED = 1000
-"""Points on which spread and smoothing are settled; all points then only have the last word."""
+RANKED = 150
+"""Points that rank the candidates where there are more."""
+
+CLIMBED = 600
+"""Points on which spread and smoothing are settled where there are more."""
+
+TRIALS = 14
+"""Candidates that a search may factorise."""
 
 _SMOOTHING_STEP = 10**0.5
+_HALVINGS = 3
 
 
 def fit(
@@ -54,17 +61,14 @@ def fit(
     if n <= AVERAGED:
         return average(samples, kinds, spreads, smoothings, tick)
     order = np.random.default_rng(0).permutation(n)
-    few = samples.take(np.sort(order[:AVERAGED]))
-    starts = _starts(average(few, kinds, spreads, smoothings, lambda share: tick(0.2 * share)).scored)
-    if len(kinds) == len(smoothings) == 1:
-        return _Search(samples, spreads, 1, tick).climb(starts[:1], _no_moves)
+    few = samples.take(np.sort(order[:RANKED]))
     moves = _Moves(kernel=len(kinds) > 1, smoothing=len(smoothings) > 1)
-    if quick:
-        return _Search(samples, spreads, 1, tick).climb(starts[:1], _no_moves)
-    if n > CLIMBED:
+    starts = _starts(average(few, kinds, spreads, smoothings, lambda share: tick(0.2 * share)).scored)
+    if n > CLIMBED and not quick:
         some = samples.take(np.sort(order[:CLIMBED]))
-        starts = [_Search(some, spreads, 10, lambda share: tick(0.2 + 0.4 * share)).climb(starts, moves).scored.best]
-    budget = 10 if n <= CLIMBED else 3 if n <= 2500 else 1
+        search = _Search(some, spreads, TRIALS, lambda share: tick(0.2 + 0.4 * share))
+        starts = [search.climb(starts, moves).scored.best]
+    budget = 1 if quick or n > CLIMBED else TRIALS
     return _Search(samples, spreads, budget, lambda share: tick(0.6 + 0.4 * share)).climb(starts, moves)
 
 
@@ -84,15 +88,17 @@ class _Search:
             self.tick(len(self.tried) / self.budget)
         return self.tried[candidate][0]
 
-    def climb(self, starts: Sequence[Candidate], moves: Callable[[Candidate], list[Candidate]]) -> Fit:
-        """From the best of the starts to better neighbours; the average of all that were tried."""
+    def climb(self, starts: Sequence[Candidate], moves: _Moves) -> Fit:
+        """From the best of the starts to better neighbours, ever closer ones; the average of all that were tried."""
         best = min(starts, key=self.value)
-        moved = True
-        while moved and len(self.tried) < self.budget:
-            moved = False
-            for move in moves(best):
-                if self.value(move) < self.value(best):
-                    best, moved = move, True
+        for halvings in range(_HALVINGS):
+            moved = True
+            while moved:
+                moved = False
+                for move in moves.around(best, 0.5**halvings):
+                    if self.value(move) < self.value(best):
+                        best, moved = move, True
+                        break
         candidates = list(self.tried)
         scored = Scored(candidates, *(np.array([self.tried[c][i] for c in candidates]) for i in range(3)))
         parts = [(c, share) for c, share in zip(candidates, scored.shares.tolist(), strict=True) if share]
@@ -114,10 +120,6 @@ _BEHIND = 8.0
 """Score by which a family may lie behind in the sample and still be tried on more points."""
 
 
-def _no_moves(candidate: Candidate) -> list[Candidate]:  # noqa: ARG001
-    return []
-
-
 @dataclass(frozen=True)
 class _Moves:
     """Neighbours of a candidate in what is not given."""
@@ -125,18 +127,22 @@ class _Moves:
     kernel: bool
     smoothing: bool
 
-    def __call__(self, candidate: Candidate) -> list[Candidate]:
+    def around(self, candidate: Candidate, share: float) -> list[Candidate]:
+        """Candidates one step away, the step a power `share` of the largest."""
         moves: list[Candidate] = []
-        if self.smoothing:
-            steps = (1 / _SMOOTHING_STEP, _SMOOTHING_STEP)
-            moves += [replace(candidate, smoothing=candidate.smoothing * step) for step in steps]
         if self.kernel and candidate.family == "ladder":
             at = int(np.argmin(np.abs(np.subtract(ROUGHNESS, candidate.parameter))))
             near = [ROUGHNESS[i] for i in (at - 1, at + 1) if 0 <= i < len(ROUGHNESS)]
-            moves += [replace(candidate, parameter=roughness) for roughness in near]
+            moves += [
+                replace(candidate, parameter=candidate.parameter + share * (roughness - candidate.parameter))
+                for roughness in near
+            ]
         elif self.kernel:
-            steps = (LADDER_STEP, 1 / LADDER_STEP)
-            moves += [replace(candidate, parameter=candidate.parameter * step) for step in steps]
+            step = LADDER_STEP**share
+            moves += [replace(candidate, parameter=candidate.parameter * factor) for factor in (step, 1 / step)]
+        if self.smoothing:
+            step = _SMOOTHING_STEP**share
+            moves += [replace(candidate, smoothing=candidate.smoothing * factor) for factor in (step, 1 / step)]
         return moves
 
 
@@ -149,5 +155,5 @@ def _solve(samples: Samples, candidate: Candidate, spreads: FloatArray) -> tuple
     residuals, spread = dense.leave_one_out(coefficients)
     own = np.mean(residuals**2 / spread[:, None])
     left_out = 0.5 * samples.y.shape[1] * float(len(samples) * np.log(own) + np.log(spread).sum())
-    value = float(score(np.array(restricted), np.array(left_out), np.array(dense.smoothing)))
+    value = float(score(len(samples), np.array(restricted), np.array(left_out), np.array(dense.smoothing)))
     return value, variance, restricted, Solution(coefficients, bias, residuals, spread)

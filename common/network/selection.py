@@ -4,7 +4,7 @@ A candidate is a kernel K with a smoothing lambda. Its network solves (K + lambd
 points, b the bias. Three families of kernels, each with one parameter, share one ladder of spreads:
 
 - *single*: one Gaussian, for surfaces that are infinitely smooth; the parameter is its spread.
-- *multiquadric*: 1 / sqrt(1 + r^2 / l^2) as a scale mixture of Gaussians, for smooth surfaces with a peak; l.
+- *multiquadric*: (1 + r^2 / l^2)^(-1/4) as a scale mixture of Gaussians, for smooth surfaces with a peak; l.
 - *ladder*: amplitudes s^(2H), for rough surfaces; the roughness H.
 
 One eigendecomposition of W^1/2 K W^1/2 gives two criteria for every smoothing at once:
@@ -15,9 +15,9 @@ One eigendecomposition of W^1/2 K W^1/2 gives two criteria for every smoothing a
   the point.
 
 REML is sure of itself where the kernel is wrong, leaving one out is easily misled by a few noisy points. Candidates are
-averaged with weights exp(-0.2 nll_REML - 0.4 nll_LOO) lambda^0.2: both criteria at less than full strength, and a
-mild preference for smoothing. Candidates share their centres, so the average is one network again: coefficients per
-spread add up. docs/network.md has the table behind the three numbers.
+averaged with weights exp(-0.2 nll_REML - 0.4 nll_LOO) lambda^0.5: both criteria at less than full strength, and a mild
+preference for smoothing, lambda below 0.001 counting as 0.001. Candidates share their centres, so the average is one
+network again: coefficients per spread add up. docs/network.md has the table behind the three numbers.
 """
 
 from __future__ import annotations
@@ -28,23 +28,29 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from common.network.kernel import Kernel, level_matrices, squared_distances
+from common.errors import ParameterError
+from common.network.kernel import LADDER_STEP, Kernel, level_matrices, squared_distances
 from common.surface import FloatArray, IntArray
 
 Family: TypeAlias = Literal["single", "multiquadric", "ladder"]
 
-ROUGHNESS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
+ROUGHNESS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
 SMOOTHINGS: FloatArray = np.logspace(-13, 0, 27)
-EVIDENCE, LEAVE_ONE_OUT, LEANING = 0.2, 0.4, 0.2
+EVIDENCE, LEAVE_ONE_OUT, LEANING = 0.2, 0.4, 0.5
 """Exponents of the restricted likelihood, the leave-one-out density and the smoothing in a candidate's weight."""
 
-LEAST_NOISE = 1e-8
-"""Smoothings below it are all the same to the preference for smoothing: no noise."""
+LEAST_NOISE = 1e-3
+"""Smoothings below it are all the same to the preference for smoothing."""
+
+FEW = 30
+"""Points below which the preference for smoothing fades: three points are worth little, but all there is."""
 
 NEGLIGIBLE = 1e-3
 """Candidates of less weight than this share of the heaviest one are left out of the average."""
 
 TINY = float(np.finfo(np.float64).tiny)
+NOTHING = 1e-30
+"""What a point may at least tell of itself; less is rounding, or a point alone."""
 
 
 def rounding_floor(n: int) -> float:
@@ -100,7 +106,7 @@ class Candidate:
     smoothing: float
 
     def kernel(self, spreads: FloatArray) -> Kernel:
-        """The kernel on a ladder of spreads, shape (levels,)."""
+        """The kernel, a mixture on the ladder of descending spreads, shape (levels,)."""
         if self.family == "single":
             return Kernel.single(self.parameter)
         return Kernel.mixture(spreads, amplitudes(self.family, self.parameter, spreads))
@@ -111,24 +117,27 @@ def amplitudes(family: Family, parameter: float, spreads: FloatArray) -> FloatAr
     if family == "ladder":
         shares = (spreads / spreads.max()) ** (2 * parameter)
     elif family == "multiquadric":
-        # 1 / sqrt(1 + r^2 / l^2) is the mean of exp(-t r^2 / l^2) over t of density t^(-1/2) exp(-t); with
-        # t = l^2 / 2 s^2 the density on a logarithmic ladder of s is t^(1/2) exp(-t).
+        # (1 + r^2 / l^2)^(-1/4) is the mean of exp(-t r^2 / l^2) over t of density t^(-3/4) exp(-t); with
+        # t = l^2 / 2 s^2 the density on a logarithmic ladder of s is t^(1/4) exp(-t).
         t = 0.5 * (parameter / spreads) ** 2
-        shares = np.sqrt(t) * np.exp(-t)
+        shares = t**0.25 * np.exp(-t)
     else:
-        shares = (spreads == parameter).astype(np.float64)
+        raise ParameterError(f"family {family!r} has one spread, no mixture")
     return np.asarray(shares / shares.sum())
 
 
-def families(spreads: FloatArray, extent: float) -> list[tuple[Family, float]]:
-    """Every family with every parameter worth a trial; `spreads` descending, `extent` the longest side of the points.
+WIDEST: dict[Family, float] = {"single": 0.5, "multiquadric": 0.5}
+"""Greatest parameter, as a share of the longest side of the points: beyond it a Gaussian is a polynomial, which fits
+the points and runs away between them."""
 
-    A Gaussian wider than half the points is a polynomial: it fits them and runs away between them.
-    """
-    within = [s for s in spreads.tolist() if s <= extent / 2] or [float(spreads.min())]
+
+def families(spreads: FloatArray, extent: float) -> list[tuple[Family, float]]:
+    """Every family with every parameter worth a trial; `spreads` descending, `extent` the points' longest side."""
+    finest = float(spreads.min())
+    halved = np.concatenate([spreads, spreads / LADDER_STEP**0.5])
     return [
-        *(("single", s) for s in within),
-        *(("multiquadric", s) for s in within),
+        *(("single", s) for s in halved.tolist() if s <= max(finest, WIDEST["single"] * extent)),
+        *(("multiquadric", s) for s in spreads.tolist() if s <= max(finest, WIDEST["multiquadric"] * extent)),
         *(("ladder", h) for h in ROUGHNESS),
     ]
 
@@ -176,7 +185,7 @@ class Spectra:
     def _projected(self, inverse: FloatArray, one_one: FloatArray, one_y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """P y (c, k, n, m) and the diagonal of P (c, n, m), both in weighted units."""
         along_one = self.basis @ (self.one[:, :, None] * inverse)
-        diagonal = np.clip(self.basis**2 @ inverse - along_one**2 / one_one[:, None], TINY, None)
+        diagonal = np.clip(self.basis**2 @ inverse - along_one**2 / one_one[:, None], NOTHING, None)
         solved = np.stack(
             [
                 self.basis @ (self.y[:, :, k : k + 1] * inverse) - along_one * (one_y[:, k] / one_one)[:, None]
@@ -194,7 +203,7 @@ class Spectra:
         bias = ((one[:, None] * y).T @ inverse) / one_one
         summed = y * (inverse @ shares)[:, None] - one[:, None] * (inverse @ (shares * bias).T)
         along_one = basis @ (one[:, None] * inverse)
-        diagonal = np.clip(basis**2 @ inverse - along_one**2 / one_one, TINY, None)
+        diagonal = np.clip(basis**2 @ inverse - along_one**2 / one_one, NOTHING, None)
         left_out = [
             (basis @ (y[:, k : k + 1] * inverse) - along_one * bias[k]) / diagonal @ shares for k in range(y.shape[1])
         ]
@@ -252,9 +261,10 @@ class Scored:
         return self.candidates[int(np.argmin(self.scores))]
 
 
-def score(restricted: FloatArray, leave_one_out: FloatArray, smoothings: FloatArray) -> FloatArray:
-    """What a candidate is worth: less is better."""
-    return EVIDENCE * restricted + LEAVE_ONE_OUT * leave_one_out - LEANING * np.log(np.maximum(smoothings, LEAST_NOISE))
+def score(n: int, restricted: FloatArray, leave_one_out: FloatArray, smoothings: FloatArray) -> FloatArray:
+    """What a candidate is worth on n points: less is better."""
+    leaning = LEANING * min(1.0, n / FEW)
+    return EVIDENCE * restricted + LEAVE_ONE_OUT * leave_one_out - leaning * np.log(np.maximum(smoothings, LEAST_NOISE))
 
 
 def average(
@@ -265,15 +275,17 @@ def average(
     tick: Callable[[float], None],
 ) -> Fit:
     """Score every kind of kernel with every smoothing, and average them."""
-    levels = np.array(level_matrices(squared_distances(samples.X), spreads))
-    mixes = np.array([amplitudes(family, parameter, spreads) for family, parameter in kinds])
+    r2 = squared_distances(samples.X)
+    levels = np.array(level_matrices(r2, spreads))
+    kernels = [Candidate(family, parameter, 0.0).kernel(spreads) for family, parameter in kinds]
     batch = max(1, _BATCH // max(1, len(samples) ** 2))
     scores, variances, likelihoods, spectra = [], [], [], []
     for start in range(0, len(kinds), batch):
-        grams = np.tensordot(mixes[start : start + batch], levels, axes=1)
-        part = Spectra(grams, samples)
+        part = Spectra(
+            np.array([_gram(kernel, r2, spreads, levels) for kernel in kernels[start : start + batch]]), samples
+        )
         restricted, left_out, variance = part.criteria(smoothings)
-        scores.append(score(restricted, left_out, smoothings))
+        scores.append(score(len(samples), restricted, left_out, smoothings))
         variances.append(variance)
         likelihoods.append(restricted)
         spectra.append(part)
@@ -284,10 +296,17 @@ def average(
     used = np.flatnonzero(by_kind.sum(axis=1)).tolist()
     return combine(
         scored,
-        [candidates[i * len(smoothings)].kernel(spreads) for i in used],
+        [kernels[i] for i in used],
         [spectra[i // batch].solve(i % batch, smoothings, by_kind[i]) for i in used],
         spreads,
     )
+
+
+def _gram(kernel: Kernel, r2: FloatArray, spreads: FloatArray, levels: FloatArray) -> FloatArray:
+    """The kernel matrix, from the levels of the ladder where the kernel stands on them."""
+    if len(kernel.spreads) == 1:
+        return np.asarray(np.exp(r2 * (-0.5 / kernel.spreads[0] ** 2)))
+    return np.asarray(np.tensordot(kernel.amplitudes, levels[np.isin(spreads, kernel.spreads)], axes=1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

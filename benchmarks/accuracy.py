@@ -1,0 +1,301 @@
+"""How accurate the network is: tables beside the methods that a Python user would pick, run in the same process.
+
+    python -m benchmarks.accuracy [--table NAME ...] [--seeds N]
+
+Each table prints medians over the seeds. Errors are RMSE against the truth, relative ones over the range of the truth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+import warnings
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+from scipy.interpolate import RBFInterpolator, griddata
+
+from benchmarks import terrain
+from common.metrics import nrmse, rmse
+from common.network import NetworkWarning, RBFNetwork
+from common.surface import FloatArray
+from sender.features import extract_features
+from sender.surfaces import SURFACES
+
+PAPER = ("surface-1", "surface-2", "surface-3")
+NOISES = ("clean", "z", "xyz")
+TARGETS = ((0.20, 0.62, 0.62), (1.00, 0.96, 0.92), (0.42, 0.88, 0.86))
+
+
+def ours(X: FloatArray, y: FloatArray, Q: FloatArray) -> FloatArray:
+    """Heights at Q by the network with its defaults."""
+    return np.asarray(RBFNetwork().fit(X, y).predict(Q))
+
+
+def linear(X: FloatArray, y: FloatArray, Q: FloatArray) -> FloatArray:
+    """Delaunay, linear; the nearest point outside of the hull."""
+    return _griddata(X, y, Q, "linear")
+
+
+def cubic(X: FloatArray, y: FloatArray, Q: FloatArray) -> FloatArray:
+    """Clough-Tocher; the nearest point outside of the hull."""
+    return _griddata(X, y, Q, "cubic")
+
+
+def _griddata(X: FloatArray, y: FloatArray, Q: FloatArray, method: Literal["linear", "cubic"]) -> FloatArray:
+    values = griddata(X, y, Q, method=method)
+    return np.asarray(np.where(np.isnan(values), griddata(X, y, Q, method="nearest"), values))
+
+
+def plate(X: FloatArray, y: FloatArray, Q: FloatArray, smoothing: float = 0.0) -> FloatArray:
+    """SciPy's RBFInterpolator with a thin-plate spline."""
+    return np.asarray(RBFInterpolator(X, y, smoothing=smoothing)(Q))
+
+
+def linear_rbf(X: FloatArray, y: FloatArray, Q: FloatArray, smoothing: float = 0.0) -> FloatArray:
+    """SciPy's RBFInterpolator with the kernel -r."""
+    return np.asarray(RBFInterpolator(X, y, kernel="linear", smoothing=smoothing)(Q))
+
+
+def process(X: FloatArray, y: FloatArray, Q: FloatArray) -> FloatArray:
+    """scikit-learn's GaussianProcessRegressor with its optimiser: constant times RBF plus white noise."""
+    return np.asarray(_process().fit(X, y).predict(Q))
+
+
+def _process() -> RBFNetwork:
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
+    kernel = ConstantKernel(1.0, (1e-3, 1e5)) * RBF() + WhiteKernel(1e-3, (1e-12, 1e1))
+    return GaussianProcessRegressor(kernel, normalize_y=True)  # type: ignore[no-any-return]
+
+
+def features(seeds: int) -> None:
+    """Only the feature points of the paper's surfaces, clean and noisy: ratio to the best traditional fit."""
+    print("Feature points only: NRMSE of the network over that of the best of linear, cubic, thin plate")
+    print(
+        f"{'':10s} {'noise':6s} {'ratio':>7s} {'target':>7s} {'network':>9s} {'linear':>9s} {'cubic':>9s} {'plate':>9s}"
+    )
+    for name, targets in zip(PAPER, TARGETS, strict=True):
+        surface = SURFACES[name]
+        truth = surface.grid((61, 61))
+        Q, z = truth.points()[:, :2], truth.z.ravel()
+        for noise, target in zip(NOISES, targets, strict=True):
+            rows = []
+            for seed in range(seeds):
+                rng = np.random.default_rng(seed)
+                points = np.array(extract_features(surface.sample(rng), gap=surface.gap, region=surface.region).points)
+                if noise != "clean":
+                    axes = slice(2, 3) if noise == "z" else slice(0, 3)
+                    points[:, axes] += rng.normal(0, surface.noise, points[:, axes].shape)
+                X, y = points[:, :2], points[:, 2]
+                rows.append([nrmse(z, method(X, y, Q)) for method in (ours, linear, cubic, plate)])
+            table = np.array(rows)
+            ratio = float(np.median(table[:, 0] / table[:, 1:].min(axis=1)))
+            figures = " ".join(f"{value:9.4f}" for value in np.median(table, axis=0))
+            print(f"{name:10s} {noise:6s} {ratio:7.2f} {target:7.2f} {figures}{'' if ratio <= target else '  missed'}")
+
+
+def random_samples(seeds: int) -> None:
+    """Random samples of growing number, no noise: RMSE beside interpolators and process regression."""
+    print("Random samples: RMSE (sine and surface 2 in their unit, elevation in metres)")
+    print(f"{'':10s} {'n':>6s} {'network':>9s} {'plate':>9s} {'linear':>9s} {'process':>9s} {'ratio':>7s}")
+    for name, key in (("sine", "surface-3"), ("surface 2", "surface-2"), ("elevation", "elevation")):
+        for n in (50, 200, 500, 2000, 5000):
+            rows = []
+            for seed in range(seeds if n <= 500 else min(seeds, 3)):
+                rng = np.random.default_rng(seed)
+                cloud = SURFACES[key].sample(rng, n + 4000)
+                X, y, Q, z = cloud[:n, :2], cloud[:n, 2], cloud[n:, :2], cloud[n:, 2]
+                methods: list[Callable[[FloatArray, FloatArray, FloatArray], FloatArray]] = [ours, plate, linear_rbf]
+                row = [rmse(z, method(X, y, Q)) for method in methods]
+                row.append(rmse(z, process(X, y, Q)) if n <= 500 else np.inf)
+                rows.append(row)
+            median = np.median(rows, axis=0)
+            ratio = float(np.median([row[0] / min(row[1:]) for row in rows]))
+            print(f"{name:10s} {n:6d} " + " ".join(f"{value:9.2e}" for value in median) + f" {ratio:7.2f}")
+
+
+def noise(seeds: int) -> None:
+    """The sine surface with 5 % noise, with gross outliers, with wild values: RMSE."""
+    print("sin 2x + sin 2y, 2,000 samples: RMSE, found of the wrong points, wrongly set aside (median of seeds)")
+    rows = []
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        cloud = SURFACES["surface-3"].sample(rng, 4000)
+        X, y, Q, z = cloud[:2000, :2], cloud[:2000, 2], cloud[2000:, :2], cloud[2000:, 2]
+        span = 4.0
+        noisy = rmse(z, ours(X, y + 0.05 * rng.normal(size=2000), Q))
+        wrong = np.zeros(2000, dtype=bool)
+        wrong[rng.permutation(2000)[:40]] = True
+        spoilt = y + 0.01 * rng.normal(size=2000)
+        spoilt[wrong] += rng.uniform(-span / 2, span / 2, 40)
+        found, error = _set_aside(X, spoilt, Q, z, wrong)
+        rows.append([noisy, error, *found])
+        base = rmse(z, ours(X, y, Q))
+        wrong[rng.permutation(2000)[:100]] = True
+        wild = np.where(wrong, rng.uniform(-5, 5, 2000) * span, y)
+        found, error = _set_aside(X, wild, Q, z, wrong)
+        rows[-1] += [base, error, *found]
+    a = np.median(rows, axis=0)
+    print(f"  5 % noise                     {a[0]:.4f}  target 0.026")
+    print(f"  1 % noise, 2 % gross outliers {a[1]:.4f}  target 0.012   found {a[2]:.2f}, wrongly {a[3]:.3f}")
+    print(f"  5 % wild values               {a[5]:.2e}  without them {a[4]:.2e}   found {a[6]:.2f}, wrongly {a[7]:.3f}")
+
+
+def _set_aside(
+    X: FloatArray, y: FloatArray, Q: FloatArray, z: FloatArray, wrong: np.ndarray[tuple[int], np.dtype[np.bool_]]
+) -> tuple[tuple[float, float], float]:
+    network = RBFNetwork().fit(X, y)
+    aside = np.zeros(len(X), dtype=bool)
+    aside[network.outliers_] = True
+    return (float(aside[wrong].mean()), float(aside[~wrong].mean())), rmse(z, network.predict(Q))
+
+
+def wild(seeds: int) -> None:
+    """5 % of the points replaced by wild values, on every kind of surface: NRMSE over that without them."""
+    print("5 % of the points wild (up to five ranges off): NRMSE with / without, found, wrongly set aside when clean")
+    for name in (*PAPER, "franke", "elevation"):
+        for n in (100, 400, 2000):
+            rows = []
+            for seed in range(min(seeds, 5)):
+                rng = np.random.default_rng(seed)
+                cloud = SURFACES[name].sample(rng, n + 2000)
+                X, y, Q, z = cloud[:n, :2], cloud[:n, 2], cloud[n:, :2], cloud[n:, 2]
+                y = y + 0.01 * np.ptp(z) * rng.normal(size=n)
+                wrong = np.zeros(n, dtype=bool)
+                wrong[rng.permutation(n)[: n // 20]] = True
+                clean = RBFNetwork().fit(X, y)
+                spoilt = np.where(wrong, rng.uniform(-5, 5, n) * np.ptp(z), y)
+                found, error = _set_aside(X, spoilt, Q, z, wrong)
+                rows.append([error / rmse(z, clean.predict(Q)), found[0], len(clean.outliers_) / n])
+            a = np.median(rows, axis=0)
+            print(f"  {name:10s} {n:5d}  ratio {a[0]:5.2f}  found {a[1]:.2f}  wrongly {a[2]:.4f}")
+
+
+def real(seeds: int) -> None:
+    """Real terrain, 800 and 2,000 samples, clean and with 10 % noise: RMSE over the better of two splines."""
+    print("Real terrain: RMSE over the better of thin plate and linear RBF (noisy: at their best smoothing by oracle)")
+    ratios: dict[tuple[int, bool], list[float]] = {}
+    for name in terrain.available():
+        cloud = terrain.nodes(name)
+        figures = []
+        for n in (800, 2000):
+            for noisy in (False, True):
+                values = []
+                for seed in range(min(seeds, 3)):
+                    rng = np.random.default_rng(seed)
+                    rows = rng.permutation(len(cloud))[: n + 3000]
+                    X, Q, z = cloud[rows[:n], :2], cloud[rows[n:], :2], cloud[rows[n:], 2]
+                    y = cloud[rows[:n], 2] + (0.1 * z.std() * rng.normal(size=n) if noisy else 0.0)
+                    unit = np.ptp(X, axis=0).max()
+                    smoothings = (0.0, 1e-5, 1e-4, 1e-3, 1e-2) if noisy else (0.0,)
+                    rivals = [rmse(z, plate(X / unit, y, Q / unit, s)) for s in smoothings]
+                    rivals += [rmse(z, linear_rbf(X / unit, y, Q / unit, s * 30)) for s in smoothings]
+                    values.append(rmse(z, ours(X, y, Q)) / min(rivals))
+                figures.append(float(np.median(values)))
+                ratios.setdefault((n, noisy), []).append(figures[-1])
+        print(f"  {name:16s} " + " ".join(f"{value:6.3f}" for value in figures), flush=True)
+    print(f"  {'median':16s} " + " ".join(f"{np.median(v):6.3f}" for v in ratios.values()))
+    print(
+        f"  {'greatest':16s} "
+        + " ".join(f"{max(v):6.3f}" for v in ratios.values())
+        + "   800, 800 noisy, 2000, 2000 noisy"
+    )
+
+
+def coverage(seeds: int) -> None:
+    """Share of the truth within the 95 % band."""
+    print("Coverage of the 95 % band, per cent (target 90 to 98): clean, 5 % noise")
+    names: list[str] = [*PAPER, "franke", "peaks", *terrain.available()]
+    for name in names:
+        cloud = None if name in SURFACES else terrain.nodes(name)
+        figures = []
+        for n in (100, 400, 1500):
+            for noisy in (False, True):
+                values = []
+                for seed in range(min(seeds, 5) if n < 1000 else 2):
+                    rng = np.random.default_rng(seed)
+                    part = (
+                        SURFACES[name].sample(rng, n + 2000)
+                        if cloud is None
+                        else cloud[rng.permutation(len(cloud))[: n + 2000]]
+                    )
+                    z = part[n:, 2]
+                    y = part[:n, 2] + (0.05 * np.ptp(z) * rng.normal(size=n) if noisy else 0.0)
+                    mean, deviation = RBFNetwork().fit(part[:n, :2], y).predict(part[n:, :2], return_std=True)
+                    values.append(float(np.mean(np.abs(mean - z) <= 1.96 * deviation)))
+                figures.append(100 * float(np.mean(values)))
+        print(f"  {name:16s} " + " ".join(f"{value:5.1f}" for value in figures), flush=True)
+    print("  columns: 100 clean, noisy; 400 clean, noisy; 1500 clean, noisy")
+
+
+def speed(seeds: int) -> None:
+    """Time of a fit beside GaussianProcessRegressor with its optimiser, noisy and clean sine."""
+    print("Fit beside process regression, sin 2x + sin 2y: seconds, RMSE, ratio of times")
+    for n, target in ((50, 0.5), (500, 0.2), (2000, 0.05)):
+        for level in (0.0, 0.05):
+            if n == 2000 and level == 0.0:
+                continue
+            rng = np.random.default_rng(0)
+            cloud = SURFACES["surface-3"].sample(rng, n + 2000)
+            X, y, Q, z = cloud[:n, :2], cloud[:n, 2] + level * rng.normal(size=n), cloud[n:, :2], cloud[n:, 2]
+            repeats = max(1, min(seeds, 2000 // n))
+            own, network = _timed(RBFNetwork(), X, y, repeats)
+            other, model = _timed(_process(), X, y, 1 if n > 500 else min(3, repeats))
+            print(
+                f"  n {n:5d} noise {level:.2f}: {own:8.4f} s {rmse(z, network.predict(Q)):.2e}  process {other:8.4f} s "
+                f"{rmse(z, model.predict(Q)):.2e}   ratio {own / other:.3f} (target {target})"
+            )
+
+
+def _timed(model: RBFNetwork, X: FloatArray, y: FloatArray, repeats: int) -> tuple[float, RBFNetwork]:
+    seconds = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        model.fit(X, y)
+        seconds.append(time.perf_counter() - start)
+    return float(np.median(seconds)), model
+
+
+def exploded(seeds: int) -> None:
+    """The elevation grid, 2,000 samples, spread of 3 mean spacings, no smoothing: what plain solvers do silently."""
+    rng = np.random.default_rng(0)
+    cloud = SURFACES["elevation"].sample(rng, 6000)
+    X, y, Q, z = cloud[:2000, :2], cloud[:2000, 2], cloud[2000:, :2], cloud[2000:, 2]
+    spread = 3 * float(np.sqrt(np.prod(np.ptp(X, axis=0)) / 2000))
+    K = np.exp(-((X[:, None] - X) ** 2).sum(axis=2) / (2 * spread**2))
+    cross = np.exp(-((Q[:, None] - X) ** 2).sum(axis=2) / (2 * spread**2))
+    print(f"Spread of 3 mean spacings, smoothing 0: plain solve {rmse(z, cross @ np.linalg.solve(K, y)):.0f} m")
+    with warnings.catch_warnings(record=True):
+        warnings.simplefilter("always", NetworkWarning)
+        network = RBFNetwork(spread=spread, smoothing=0.0).fit(X, y)
+    print(f"  network {rmse(z, network.predict(Q)):.1f} m; notes: {list(network.notes_)}; seeds not used: {seeds}")
+
+
+TABLES: dict[str, Callable[[int], None]] = {
+    "features": features,
+    "random": random_samples,
+    "noise": noise,
+    "wild": wild,
+    "terrain": real,
+    "coverage": coverage,
+    "speed": speed,
+    "exploded": exploded,
+}
+
+
+def main() -> None:
+    """Print the tables that were asked for, by default all."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.accuracy", description=__doc__.splitlines()[0])
+    parser.add_argument("--table", nargs="*", choices=list(TABLES), default=list(TABLES))
+    parser.add_argument("--seeds", type=int, default=12)
+    options = parser.parse_args()
+    for name in options.table:
+        TABLES[name](options.seeds)
+        print(flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,94 @@
+"""A sum of Gaussians with a bias, and how far it can be trusted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+import numpy as np
+
+from common.network import evaluation
+from common.network.dense import Dense
+from common.network.kernel import Kernel, chunks
+from common.surface import FloatArray
+
+UNNOTICED = 1e-8
+"""Smoothing below which the points are taken for free of noise."""
+
+
+@dataclass(slots=True, eq=False)
+class Expansion:
+    """f(x) = b + sum_l sum_j c_lj exp(-|x - x_j|^2 / 2 s_l^2), with the posterior of one kernel for its deviation.
+
+    Attributes
+    ----------
+    centers : ndarray, shape (n, d)
+    spreads : ndarray, shape (levels,)
+        Descending.
+    coefficients : ndarray, shape (levels, n, k)
+    bias : ndarray, shape (k,)
+    support, weights : ndarray, shapes (m, d) and (m,)
+        The points that the deviation is conditioned on, and the measurements behind each.
+    kernel, smoothing, variance
+        Of the candidate that the deviation is computed with.
+    calibration : float
+        Factor on the deviation.
+    excess : float
+        Variance that fewer centres than points leave.
+    """
+
+    centers: FloatArray
+    spreads: FloatArray
+    coefficients: FloatArray
+    bias: FloatArray
+    support: FloatArray
+    weights: FloatArray
+    kernel: Kernel
+    smoothing: float
+    variance: float
+    calibration: float
+    excess: float = 0.0
+    _factor: Dense | None = field(default=None, repr=False)
+
+    def predict(self, X: FloatArray) -> FloatArray:
+        """Values at X (m, d), shape (m, k)."""
+        return evaluation.evaluate(X, self.centers, self.spreads, self.coefficients) + self.bias
+
+    def predict_grid(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Values on a grid, shape (len(y), len(x), k)."""
+        return evaluation.evaluate_grid(x, y, self.centers, self.spreads, self.coefficients) + self.bias
+
+    def predict_gradient(self, X: FloatArray) -> FloatArray:
+        """Derivatives at X (m, d), shape (m, k, d)."""
+        return evaluation.gradient(X, self.centers, self.spreads, self.coefficients)
+
+    def predict_std(self, X: FloatArray) -> FloatArray:
+        """Deviation of the surface at X (m, d), without the noise of a new measurement, shape (m, k)."""
+        if self._factor is None:
+            self._factor = Dense(self.kernel.gram(self.support), self.weights, self.smoothing)
+        variance = np.empty(len(X))
+        for part in chunks(len(X), len(self.support)):
+            variance[part] = self._factor.posterior_variance(self.kernel.gram(self.support, X[part]))
+        # A smoothing this small is no noise of the measurements but what the solver cannot tell from zero.
+        variance += self.smoothing if self.smoothing < UNNOTICED else 0.0
+        deviation = np.sqrt(self.calibration**2 * self.variance * variance + self.excess)
+        return np.repeat(deviation[:, None], len(self.bias), axis=1)
+
+    def to_state(self) -> dict[str, np.ndarray[Any, Any]]:
+        """Everything, as arrays that `numpy.savez` takes without pickling."""
+        state = {name: np.asarray(getattr(self, name)) for name in (*_ARRAYS, *_NUMBERS)}
+        return state | {"kernel_spreads": self.kernel.spreads, "kernel_amplitudes": self.kernel.amplitudes}
+
+    @classmethod
+    def from_state(cls, state: dict[str, np.ndarray[Any, Any]]) -> Self:
+        """The expansion that `to_state` wrote."""
+        values: dict[str, Any] = {name: np.array(state[name]) for name in _ARRAYS}
+        values |= {name: float(state[name]) for name in _NUMBERS}
+        return cls(
+            **values,
+            kernel=Kernel(np.array(state["kernel_spreads"]), np.array(state["kernel_amplitudes"])),
+        )
+
+
+_ARRAYS = ("centers", "spreads", "coefficients", "bias", "support", "weights")
+_NUMBERS = ("smoothing", "variance", "calibration", "excess")

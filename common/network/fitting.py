@@ -1,0 +1,271 @@
+"""From samples to a network: which way for how many points, and what to do when it goes wrong.
+
+Everything here is in units of the samples' own extent (`selection.Samples`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from common.errors import TrainingError
+from common.network import greedy, robust, search
+from common.network.autoassociative import Lifted
+from common.network.expansion import Expansion
+from common.network.kernel import ladder_spreads, mean_spacing, nearest_distance
+from common.network.partition import Partition
+from common.network.selection import SMOOTHINGS, Family, Fit, Samples, families, rounding_floor
+from common.surface import FloatArray, IntArray
+
+Tick: TypeAlias = Callable[[str, float], None]
+
+DENSE = 4000
+"""Points up to which one network holds them all; more are cut into a partition of unity."""
+
+EXPLODED = 2.0
+"""A fit whose leave-one-out error is this many times the deviation of the values is far worse than their mean."""
+
+TELLING = 10
+"""Points below which nothing can be said about their noise, and the surface passes through them."""
+
+BEYOND = 3.0
+"""Half ranges about the middle of the values that a surface may reach between its points."""
+
+PROBES = 2000
+"""Places between the points at which a partition is probed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What the network is asked to be; None is chosen from the data."""
+
+    spread: float | Literal["paper"] | None = None
+    smoothing: float | None = None
+    tolerance: float = 0.0
+    max_centers: int | None = None
+
+    @property
+    def sparse(self) -> bool:
+        """Whether fewer centres than points are asked for."""
+        return self.tolerance > 0 or self.max_centers is not None
+
+
+@dataclass(slots=True, eq=False)
+class Trained:
+    """A network, and what happened on the way.
+
+    Attributes
+    ----------
+    network : Expansion, Partition or Lifted
+    outliers : ndarray of int
+        Rows of the samples that were set aside.
+    history : ndarray
+        Greatest error at the points, before the first centre and after each round.
+    stop_reason : str
+    notes : tuple of str
+        What was done differently than asked.
+    """
+
+    network: Expansion | Partition | Lifted
+    outliers: IntArray
+    history: FloatArray
+    stop_reason: str = "every point is a centre"
+    notes: tuple[str, ...] = ()
+
+
+def train(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
+    """The network of the samples."""
+    if len(samples) <= DENSE:
+        return _train_dense(samples, wanted, tick)
+    if wanted.sparse:
+        return _train_sparse(samples, wanted, tick)
+    if samples.X.shape[1] != 2:
+        raise TrainingError(
+            f"{len(samples)} distinct positions in {samples.X.shape[1]} dimensions; outside of the plane at most "
+            f"{DENSE} are accepted, or as many centres as max_centers says"
+        )
+    return _train_partition(samples, wanted, tick)
+
+
+def train_lifted(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
+    """The autoassociative network of the samples."""
+    if len(samples) > DENSE:
+        raise TrainingError(f"{len(samples)} distinct positions; the autoassociative mapping takes at most {DENSE}")
+    if wanted.sparse:
+        raise TrainingError("tolerance and max_centers need the mapping height; the other makes every point a centre")
+    points = np.column_stack([samples.X, samples.y])
+    spread = (2 * nearest_distance(points) or 1.0) if wanted.spread == "paper" else wanted.spread
+    network = Lifted.fit(points, samples.weights, spread, wanted.smoothing, lambda share: tick("selection", share))
+    return Trained(network, _none(), np.zeros(0))
+
+
+def _none() -> IntArray:
+    return np.zeros(0, dtype=np.int64)
+
+
+def _select(samples: Samples, wanted: Wanted, tick: Tick, *, quick: bool = False) -> Fit:
+    """Spread and smoothing, as asked or from the data, with every point a centre."""
+    extent = float(np.ptp(samples.X, axis=0).max()) or 1.0
+    spreads = ladder_spreads(mean_spacing(samples.X) or 1.0, 2 * extent)
+    kinds: list[tuple[Family, float]]
+    if wanted.spread is None:
+        kinds = families(spreads, extent)
+    else:
+        given = _given(samples, wanted)
+        spreads, kinds = np.array([given]), [("single", given)]
+    floor = rounding_floor(len(samples))
+    chosen = wanted.smoothing
+    if chosen is None and len(samples) < TELLING:
+        chosen = 0.0
+    smoothings = SMOOTHINGS[floor <= SMOOTHINGS] if chosen is None else np.array([max(chosen, floor)])
+    return search.fit(samples, kinds, spreads, smoothings, lambda share: tick("selection", share), quick=quick)
+
+
+def _given(samples: Samples, wanted: Wanted) -> float:
+    if wanted.spread == "paper":
+        return 2 * nearest_distance(samples.X) or 1.0
+    return float(wanted.spread or 1.0)
+
+
+def _unstable(wanted: Wanted, why: str) -> str:
+    return (
+        f"smoothing {wanted.smoothing:g} with this spread leaves the surface unstable ({why}); the smoothing was "
+        "chosen from the data instead"
+    )
+
+
+def _train_dense(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
+    tick("selection", 0.0)
+    notes: tuple[str, ...] = ()
+    fit = _select(samples, wanted, tick)
+    error = float(np.sqrt(np.mean(fit.residuals**2)))
+    if wanted.smoothing is not None and not error <= EXPLODED:
+        notes = (_unstable(wanted, f"leave-one-out error {error:.3g} times the deviation of the values"),)
+        wanted = replace(wanted, smoothing=None)
+        fit = _select(samples, wanted, tick)
+    fit, outliers = robust.set_aside(samples, fit, lambda part, quick: _select(part, wanted, tick, quick=quick))
+    samples = samples.without(outliers)
+    network = Expansion(
+        centers=samples.X,
+        spreads=fit.spreads,
+        coefficients=fit.coefficients,
+        bias=fit.bias,
+        support=samples.X,
+        weights=samples.weights,
+        kernel=fit.kernel,
+        smoothing=fit.smoothing,
+        variance=fit.variance,
+        calibration=calibration(fit),
+    )
+    trained = Trained(network, outliers, np.zeros(0), notes=notes)
+    if wanted.sparse:
+        _thin(trained, network, samples, wanted, tick)
+    tick("solve", 1.0)
+    return trained
+
+
+def _train_sparse(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
+    """Few centres among many points: a sample chooses the kernel, all points the centres."""
+    rows = np.sort(np.random.default_rng(0).permutation(len(samples))[: search.CLIMBED])
+    tick("selection", 0.0)
+    suspects = robust.screen(samples.X, samples.y)
+    rows = np.setdiff1d(rows, suspects)
+    fit = _select(samples.take(rows), wanted, tick)
+    samples = samples.without(suspects)
+    none = np.zeros((0, 0))
+    network = Expansion(
+        centers=none,
+        spreads=none,
+        coefficients=none,
+        bias=fit.bias,
+        support=none,
+        weights=none,
+        kernel=fit.kernel,
+        smoothing=fit.smoothing,
+        variance=fit.variance,
+        calibration=calibration(fit),
+    )
+    trained = Trained(network, suspects, np.zeros(0))
+    chosen = _thin(trained, network, samples, wanted, tick)
+    network.support, network.weights = samples.X[chosen], samples.weights[chosen]
+    tick("solve", 1.0)
+    return trained
+
+
+def _thin(trained: Trained, network: Expansion, samples: Samples, wanted: Wanted, tick: Tick) -> IntArray:
+    """Fewer centres than points, with the kernel of the best candidate; returns their rows."""
+    chosen = greedy.select(
+        samples.X,
+        samples.y - network.bias,
+        network.kernel.gram,
+        smoothing=network.smoothing,
+        weights=samples.weights,
+        tolerance=wanted.tolerance,
+        max_centers=wanted.max_centers,
+        tick=lambda share: tick("centres", share),
+    )
+    network.centers, network.spreads = samples.X[chosen.indices], network.kernel.spreads
+    network.coefficients = network.kernel.amplitudes[:, None, None] * chosen.coefficients
+    left = float(np.mean((network.predict(samples.X) - samples.y) ** 2))
+    network.excess = max(0.0, left - network.smoothing * network.variance)
+    trained.history, trained.stop_reason = chosen.history, chosen.stop_reason
+    return chosen.indices
+
+
+def _train_partition(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
+    notes: tuple[str, ...] = ()
+    outliers = robust.screen(samples.X, samples.y)
+    kept = samples.without(outliers)
+    network = _partition(kept, wanted, tick)
+    if wanted.smoothing is not None and not _bounded(network, kept):
+        notes = (_unstable(wanted, f"it leaves {BEYOND:g} times the range of the values"),)
+        wanted = replace(wanted, smoothing=None)
+        network = _partition(kept, wanted, tick)
+    if len(outliers):
+        # Where some points are wild there are others that the neighbours could not tell.
+        rows = np.setdiff1d(np.arange(len(samples)), outliers)
+        more = robust.cross_checked(samples.take(rows), lambda part: _partition(part, wanted, tick))
+        outliers = np.union1d(outliers, rows[more])
+        network = _partition(samples.without(outliers), wanted, tick)
+        agreed = robust.agreeing(network, samples, outliers)
+        if agreed.any():
+            outliers = outliers[~agreed]
+            network = _partition(samples.without(outliers), wanted, tick)
+    return Trained(network, outliers, np.zeros(0), notes=notes)
+
+
+def _partition(samples: Samples, wanted: Wanted, tick: Tick) -> Partition:
+    return Partition.fit(
+        samples.X,
+        samples.y,
+        spread="auto" if wanted.spread is None else _given(samples, wanted),
+        smoothing="auto" if wanted.smoothing is None else wanted.smoothing,
+        weights=samples.weights,
+        tick=tick,
+    )
+
+
+def _bounded(network: Partition, samples: Samples) -> bool:
+    """Whether the surface stays near the values between the points."""
+    pairs = np.random.default_rng(0).integers(len(samples), size=PROBES)
+    distances = np.abs(np.diff(samples.X[np.sort(pairs)], axis=0)).mean(axis=0) / len(samples) ** 0.5
+    between = network.predict(samples.X[pairs] + distances)
+    middle = (samples.y.max(axis=0) + samples.y.min(axis=0)) / 2
+    return bool(np.all(np.abs(between - middle) <= BEYOND * np.ptp(samples.y, axis=0) / 2))
+
+
+def calibration(fit: Fit) -> float:
+    """Factor on the deviations, from how the leave-one-out residuals compare with what they should be.
+
+    The model's own deviations are right for rough surfaces and many times too large for smooth ones. The share of the
+    residuals' 95 % quantile that is believed (a power of 3/4) and the allowance for few points are empirical:
+    `python -m benchmarks.accuracy --table coverage`.
+    """
+    ratios = np.max(np.abs(fit.residuals), axis=1) / fit.deviations
+    if len(ratios) < 20:
+        return 1.5
+    share = float(np.quantile(ratios, 0.95)) / 1.96
+    return float(np.clip(share**0.75, 0.01, 10.0)) * (1 + 8 / len(ratios))
