@@ -14,10 +14,13 @@ from typing import Annotated, Any, Literal, Self, TypeAlias
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from common.channel import Channel
-from common.errors import ChannelError, NotFoundError, ParameterError
+from common.channel import Channel, PointImpairment
+from common.errors import ChannelError, MissingExtraError, NotFoundError, ParameterError
 from common.wire import WireOptions
 from sender.surfaces import find_surface
+from simulator import fields
+from simulator.codecs import find_codec
+from simulator.codecs.protection import find_protection
 from simulator.methods import parse_method
 
 Axis: TypeAlias = Annotated[str, Field(min_length=1, max_length=40)]
@@ -34,45 +37,53 @@ class Settings(BaseModel):
 
 
 class SurfaceChoice(Settings):
-    """A surface by name, or the points of a file.
+    """A surface by name, a field of `simulator.fields` (whose nodes are the cloud), or the points of a file.
+
+    `points` and `pieces` (along the longer side) go in the place of the surface's own setting.
 
     The truth of a named surface is its formula or grid. The truth of a file is the piecewise linear surface through
     *all* of its points, so a file should be sampled more densely than its features.
     """
 
     name: str | None = None
+    field: str | None = None
     file: Path | None = Field(default=None, exclude=True)
     columns: tuple[str, str, str] | None = None
+    points: int | None = Field(default=None, ge=3, le=10_000_000)
+    pieces: int | None = Field(default=None, ge=1, le=4000)
     content: str | None = Field(default=None, description="digest of the file, filled in when it is read")
 
     @model_validator(mode="after")
     def _one_of(self) -> Self:
-        if (self.name is None) == (self.file is None):
-            raise ValueError("give either name (of a surface) or file (of points)")
+        if sum(value is not None for value in (self.name, self.field, self.file)) != 1:
+            raise ValueError("give one of name (of a surface), field (of 256 x 256 nodes) and file (of points)")
         if self.columns is not None and self.file is None:
             raise ValueError("columns belongs to a file")
-        if self.name is not None:
-            try:
+        try:
+            if self.name is not None:
                 find_surface(self.name)
-            except NotFoundError as error:
-                raise ValueError(str(error)) from error
+            elif self.field is not None:
+                fields.field(self.field)
+        except NotFoundError as error:
+            raise ValueError(str(error)) from error
         return self
 
     @property
     def label(self) -> str:
         """Name in the table."""
-        return self.file.name if self.file is not None else str(self.name)
+        return self.file.name if self.file is not None else self.name or str(self.field)
 
 
 class FeatureSettings(Settings):
     """How the cloud is sampled and its features are chosen; what is left out is the surface's own setting.
 
+    `kind`: least and greatest z of each piece; the point nearest to its centre; every point.
     At most one of `gap` (side of a piece), `pieces` (pieces along the longer side of the region) and `budget` (the
     finest pieces whose packets, protection included, fit into that many bytes).
     """
 
     points: int | None = Field(default=None, ge=3, le=10_000_000)
-    kind: Literal["extrema", "cloud"] = "extrema"
+    kind: Literal["extrema", "central", "cloud"] = "extrema"
     gap: float | None = Field(default=None, gt=0)
     pieces: int | None = Field(default=None, ge=1, le=4000)
     budget: int | None = Field(default=None, ge=64)
@@ -88,6 +99,37 @@ class FeatureSettings(Settings):
         """What is sent, as the table says it: "features" and what is not the surface's own setting."""
         given = self.model_dump(exclude_defaults=True)
         return " ".join(["features", *(f"{name}={value}" for name, value in given.items())])
+
+
+class CodecSettings(Settings):
+    """What is sent instead of features: the grid of the comparison, by a raster codec, under a Reed-Solomon code.
+
+    `budget` is in bytes, the code's own included; the codec's finest setting that fits is taken.
+    """
+
+    codec: str
+    protection: str = "none"
+    budget: int = Field(ge=16)
+    datagram: int = Field(default=256, ge=16, le=1400)
+
+    @model_validator(mode="after")
+    def _exists(self) -> Self:
+        try:
+            find_codec(self.codec)
+            find_protection(self.protection)
+        except (NotFoundError, MissingExtraError) as error:
+            raise ValueError(str(error)) from error
+        return self
+
+    @property
+    def method(self) -> str:
+        """Name in the table."""
+        return self.codec if self.protection == "none" else f"{self.codec} {self.protection}"
+
+    @property
+    def label(self) -> str:
+        """What is sent, as the table says it."""
+        return f"raster budget={self.budget}"
 
 
 class ChannelSweep(Settings):
@@ -117,6 +159,13 @@ class ChannelSweep(Settings):
                 raise ValueError(str(error)) from error
         return self
 
+    @property
+    def moves_points(self) -> bool:
+        """Whether an impairment acts on coordinates, which a raster has none of."""
+        level = self.levels[0] if self.levels else 0.0
+        impairments = Channel.parse(self.at(level, extent=1.0, noise=1.0)).impairments
+        return any(isinstance(impairment, PointImpairment) for impairment in impairments)
+
     def at(self, level: float, *, extent: float, noise: float) -> str:
         """The short form at one level, for a surface of that range of z and that usual noise."""
         return self.spec.format(level=repr(level), z=repr(level * extent), noise=repr(level * noise))
@@ -140,6 +189,7 @@ class Trial(Settings):
     channel: ChannelSweep
     level: float | None
     methods: tuple[str, ...]
+    codec: CodecSettings | None
     grid: tuple[int, int]
     seed: int
     sample: int
@@ -151,8 +201,8 @@ class Trial(Settings):
 
     @property
     def digest(self) -> str:
-        """Stands for what is sent (surface, features, wire, rounds), not for what befalls it on the way."""
-        return _digest(self.model_dump_json(include={"surface", "features", "wire", "rounds"}))[:8]
+        """Stands for the transmission: everything but the sample and the methods, which share one."""
+        return _digest(self.model_dump_json(exclude={"methods", "sample"}))[:10]
 
 
 def _digest(text: str) -> str:
@@ -168,6 +218,7 @@ class Campaign(Settings):
     features, wire : tables; left out, each surface's own settings and the wire's defaults.
     channels : channels in short form, or tables with `spec`, `axis` and `levels`.
     methods : names of reconstructions, see `simulator.methods`.
+    codecs : tables with `codec`, `protection` and `budget`: rasters sent instead; channels that move points skip them.
     seeds : how many samples of each surface, numbered from 0.
     seed : the campaign's own seed, from which every random draw follows.
     grid : rows and columns of the grid the reconstruction is compared on.
@@ -185,6 +236,7 @@ class Campaign(Settings):
     wire: tuple[WireOptions, ...] = Field(default=(WireOptions(),), min_length=1)
     channels: tuple[Annotated[ChannelSweep, _as_table("spec")], ...] = Field(min_length=1)
     methods: tuple[str, ...] = Field(default=("network",), min_length=1)
+    codecs: tuple[CodecSettings, ...] = ()
     seeds: int = Field(default=10, ge=1, le=100_000)
     seed: int = Field(default=0, ge=0, lt=2**63)
     grid: tuple[int, int] = (64, 64)
@@ -218,8 +270,23 @@ class Campaign(Settings):
     @property
     def size(self) -> int:
         """Number of trials."""
-        levels = sum(max(1, len(channel.levels)) for channel in self.channels)
-        return len(self.surfaces) * len(self.features) * len(self.wire) * levels * self.seeds
+        return (
+            self.seeds
+            * len(self.surfaces)
+            * sum(max(1, len(channel.levels)) * len(self._senders(channel)) for channel in self.channels)
+        )
+
+    def _senders(self, channel: ChannelSweep) -> list[dict[str, Any]]:
+        """The fields of a Trial that say what is sent through `channel`."""
+        features = [
+            {"features": features, "wire": wire, "methods": self.methods, "codec": None}
+            for features in self.features
+            for wire in self.wire
+        ]
+        if channel.moves_points:
+            return features
+        blank = {"features": FeatureSettings(), "wire": WireOptions(), "methods": ()}
+        return [*features, *(blank | {"codec": codec} for codec in self.codecs)]
 
     def trials(self) -> list[Trial]:
         """Every combination, in an order that does not depend on anything but the campaign."""
@@ -227,20 +294,17 @@ class Campaign(Settings):
             Trial(
                 campaign=self.name,
                 surface=surface,
-                features=features,
-                wire=wire,
                 rounds=self.rounds,
                 channel=channel,
                 level=level,
-                methods=self.methods,
                 grid=self.grid,
                 seed=self.seed,
                 sample=sample,
+                **sender,
             )
             for surface in self.surfaces
-            for features in self.features
-            for wire in self.wire
             for channel in self.channels
+            for sender in self._senders(channel)
             for level in channel.levels or (None,)
             for sample in range(self.seeds)
         ]
@@ -290,6 +354,7 @@ _TABLES: Mapping[str, type[BaseModel]] = {
     "features": FeatureSettings,
     "wire": WireOptions,
     "channels": ChannelSweep,
+    "codecs": CodecSettings,
 }
 
 

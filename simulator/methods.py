@@ -39,6 +39,11 @@ class Method:
         """Whether it is the product's own network."""
         return self.name == NETWORK
 
+    @property
+    def is_default(self) -> bool:
+        """Whether it is what a receiver does unless told otherwise."""
+        return self.is_network and self.settings == NetworkSettings()
+
     def heights(self, features: FeatureSet, grid: HeightGrid, rng: np.random.Generator) -> FloatArray:
         """Heights at the nodes of `grid`, shape (rows, columns); raises SurfacelinkError where the method fails."""
         if self.is_network:

@@ -6,6 +6,7 @@ as infinitely bad.
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
 
 from simulator.page import (
     DASHES,
@@ -58,6 +59,12 @@ AXES: Mapping[str, AxisLook] = MappingProxyType(
             True,
             "Distortion against Gaussian noise in the heights of the features that arrive.",
         ),
+        "noise_xyz": AxisLook(
+            "noise in x, y and z, deviation over the range of each",
+            False,
+            True,
+            "Distortion against Gaussian noise in all three coordinates of the features that arrive, as in the paper.",
+        ),
         "loss": AxisLook("packets lost", False, True, "Distortion against the share of packets that never arrive."),
         "ber": AxisLook(
             "bit-error rate",
@@ -84,15 +91,31 @@ class Lines:
     """Names the line a row belongs to: its method, and what is sent where one method is given several things."""
 
     def __init__(self, rows: Sequence[Row]) -> None:
-        given = {(row["method"], row["sends"], row["wire"]) for row in rows}
-        self._several = {
-            column: {method for method in {g[0] for g in given} if len({g[k] for g in given if g[0] == method}) > 1}
-            for k, column in ((1, "sends"), (2, "wire"))
-        }
+        self._sends: dict[str, set[str]] = {}
+        self._wires: dict[str, set[str]] = {}
+        for row in rows:
+            self._sends.setdefault(text(row, "method"), set()).add(text(row, "sends"))
+            self._wires.setdefault(text(row, "method"), set()).add(text(row, "wire"))
 
     def __call__(self, row: Row) -> str:
-        parts = [text(row, column) for column, methods in self._several.items() if row["method"] in methods]
-        return ", ".join([text(row, "method"), *parts])
+        method, sends, wire = text(row, "method"), text(row, "sends"), text(row, "wire")
+        parts = [method]
+        if len(self._sends[method]) > 1:
+            parts.append(sends)
+        if len(self._wires[method]) > 1:
+            parts += _apart(wire, self._wires[method])
+        return ", ".join(parts)
+
+
+def _apart(wire: str, wires: set[str]) -> list[str]:
+    """The settings of a wire, as JSON, that not all of `wires` have."""
+    options = [set(json.loads(other or "{}").items()) for other in wires]
+    common = set.intersection(*options)
+    return [
+        f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
+        for name, value in json.loads(wire or "{}").items()
+        if (name, value) not in common
+    ]
 
 
 Curves = Mapping[str, Mapping[str, Sequence[tuple[float, Spread]]]]
@@ -216,7 +239,9 @@ def draw_time(rows: Sequence[Row], seconds: Sequence[float]) -> Figure:
         # Losses scatter the number of points: binned to a third of an octave, a line stays a line.
         size = 2 ** (round(3 * math.log2(given)) / 3)
         cells.setdefault(method, {}).setdefault(size, []).append(taken)
-    methods = sorted(cells, key=lambda method: (not method.startswith(NETWORK), method))[:MAX_LINES]
+    slow_first = sorted(cells, key=lambda name: -float(np.median([t for times in cells[name].values() for t in times])))
+    methods = sorted(slow_first, key=lambda name: not name.startswith(NETWORK))[:MAX_LINES]
+    sizes_drawn = sorted({size for method in methods for size in cells[method]})
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(6.4, 3.9))
         axes = figure.subplots()
@@ -224,7 +249,9 @@ def draw_time(rows: Sequence[Row], seconds: Sequence[float]) -> Figure:
             sizes = sorted(cells[method])
             axes.plot(sizes, [float(np.median(cells[method][size])) for size in sizes], label=method, **_line_style(k))
         axes.set(xscale="log", yscale="log", xlabel="points given to the method", ylabel="seconds, fit and grid")
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        if len(sizes_drawn) <= 8:
+            axes.xaxis.set_major_locator(FixedLocator(sizes_drawn))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.0f}"))
         axes.xaxis.set_minor_formatter(NullFormatter())
         figure.legend(loc="outside right upper", handlelength=3.2)
     return figure
@@ -255,8 +282,12 @@ class Contest:
 
     @property
     def network(self) -> str:
-        """The network's best line, among those that have nothing but what arrived."""
-        return min((n for n in self.distortion if n.startswith(NETWORK)), key=lambda n: self.distortion[n].median)
+        """The network's best line."""
+        return _own_line(self.distortion)
+
+
+def _own_line(distortion: Mapping[str, Spread]) -> str:
+    return min((name for name in distortion if name.startswith(NETWORK)), key=lambda name: distortion[name].median)
 
 
 def contests(rows: Sequence[Row]) -> list[Contest]:
@@ -272,12 +303,20 @@ def contests(rows: Sequence[Row]) -> list[Contest]:
     return found
 
 
+def group_by_axis(cells: Sequence[Contest]) -> dict[str, list[Contest]]:
+    """The cells of each axis of the channel."""
+    found: dict[str, list[Contest]] = {}
+    for cell in cells:
+        found.setdefault(cell.axis, []).append(cell)
+    return found
+
+
 def _level(contest: Contest) -> str:
     if contest.level is None:
         return contest.axis
     look = look_of(contest.axis)
     value = f"{100 * contest.level:g} %" if look.percent else f"{contest.level:g}"
-    return f"{contest.axis} {value}"
+    return f"{contest.axis.replace('_', ' ')} {value}"
 
 
 def contests_html(cells: Sequence[Contest], notes: Mapping[str, str]) -> str:
@@ -294,6 +333,13 @@ def contests_html(cells: Sequence[Contest], notes: Mapping[str, str]) -> str:
     clean_won = sum(cell.winner.startswith(NETWORK) for cell in clean)
     intro = f"<p class='lead'>The network has the lowest median NRMSE in <b>{share}</b>"
     intro += f", and in {clean_won} of {len(clean)} without.</p>" if clean else ".</p>"
+    by_axis = group_by_axis(harmful)
+    if len(by_axis) > 1:
+        shares = [
+            f"{escape(look_of(axis).label)}: {sum(cell.winner.startswith(NETWORK) for cell in of)} of {len(of)}"
+            for axis, of in by_axis.items()
+        ]
+        intro += f"<p>{'; '.join(shares)}.</p>"
     if nothing:
         where = ", ".join(f"{_nice_name(cell.surface)} {_level(cell)}" for cell in nothing)
         intro += f"<p>Not counted, since the median sample loses everything sent: {escape(where)}.</p>"
@@ -304,9 +350,9 @@ def contests_html(cells: Sequence[Contest], notes: Mapping[str, str]) -> str:
             _nice_name(cell.surface),
             _level(cell),
             cell.winner,
-            f"{cell.distortion[cell.winner].median:.4f}",
-            f"{cell.distortion[cell.network].median:.4f}",
-            f"{cell.distortion[cell.network].median / cell.distortion[cell.winner].median:.2f}",
+            _distortion(cell.distortion[cell.winner].median),
+            _distortion(cell.distortion[cell.network].median),
+            _ratio(cell.distortion[cell.network].median / cell.distortion[cell.winner].median),
             TableCell(escape(_why(cell, notes)), "wrap"),
         ]
         for cell in lost
@@ -331,7 +377,8 @@ def ranking_html(cells: Sequence[Contest]) -> str:
 
     def ratio(name: str, of: Sequence[Contest]) -> float:
         here = [cell for cell in of if name in cell.distortion]
-        values = [cell.distortion[name].median / cell.distortion[cell.network].median for cell in here]
+        pairs = [(cell.distortion[name].median, cell.distortion[cell.network].median) for cell in here]
+        values = [its / own for its, own in pairs if math.isfinite(its) and math.isfinite(own)]
         return float(np.exp(np.mean(np.log(values)))) if values else math.nan
 
     harmful = [cell for cell in cells if cell.harmful]
@@ -349,12 +396,16 @@ def ranking_html(cells: Sequence[Contest]) -> str:
         ["method", "cells won", "all", *(_nice_name(s) for s in surfaces)],
         rows,
         caption="Cells with harm that each method wins, and its median NRMSE over the network's (geometric mean over "
-        "the cells; above 1 the network is better).",
+        "the cells in which both give a surface; above 1 the network is better).",
     )
 
 
+def _distortion(value: float) -> str:
+    return "fails" if math.isinf(value) else f"{value:.4f}" if value >= 0.001 else f"{value:.2g}"
+
+
 def _ratio(value: float) -> str:
-    return "fails" if math.isinf(value) else "" if math.isnan(value) else f"{value:.2f}"
+    return "∞" if math.isinf(value) else "" if math.isnan(value) else f"{value:.2f}"
 
 
 # The page
@@ -399,7 +450,8 @@ def render(rows: Sequence[Row], words: Words, seconds: Sequence[float] | None = 
             illustration(
                 svg(draw_time(rows, seconds)),
                 "Median time of one reconstruction, fit and evaluation on the grid, with one BLAS thread and as many "
-                "processes side by side as the campaign had workers.",
+                "processes side by side as the campaign had workers; the figures belong to the machine. The slowest "
+                "methods are drawn.",
             ),
         ]
     return page(words.title, "\n".join(parts))
@@ -441,11 +493,11 @@ def _tried(rows: Sequence[Row]) -> str:
     def distinct(name: str) -> list[str]:
         return list(dict.fromkeys(text(row, name) for row in rows))
 
-    samples = len(distinct("sample"))
+    channels = len({(row["axis"], row["level"]) for row in rows})
+    grids = " and ".join(f"{r} x {c}" for r, c in dict.fromkeys((row["rows"], row["columns"]) for row in rows))
     failures = sum(row["failure"] is not None for row in rows)
     return (
-        f"<p>{len(rows)} reconstructions: {', '.join(map(escape, distinct('surface')))}; {samples} samples of each; "
-        f"{len(distinct('channel'))} channels; {len(distinct('method'))} methods; compared on a grid of "
-        f"{' and '.join(f'{r} x {c}' for r, c in dict.fromkeys((row['rows'], row['columns']) for row in rows))}. "
+        f"<p>{len(rows)} reconstructions: {', '.join(map(escape, distinct('surface')))}; {len(distinct('sample'))} "
+        f"samples of each; {channels} channels; {len(distinct('method'))} methods; on a grid of {grids}. "
         f"{failures or 'None'} of them failed.</p>"
     )

@@ -188,10 +188,7 @@ class Run(Generic[Task]):
 
     def _serial(self, todo: Mapping[str, Task]) -> Iterator[tuple[str, Result]]:
         for key, task in todo.items():
-            # One thread, as in the workers: the order of a BLAS sum depends on the number of threads.
-            with threadpool_limits(1):
-                result = self.work(task)
-            yield key, result
+            yield key, _alone(self.work, task)
 
     def _parallel(self, todo: Mapping[str, Task]) -> Iterator[tuple[str, Result]]:
         pool = ProcessPoolExecutor(self.workers, multiprocessing.get_context("spawn"), initializer=_start_worker)
@@ -200,7 +197,7 @@ class Run(Generic[Task]):
         try:
             while True:
                 for key, task in islice(queue, AHEAD * self.workers - len(waiting)):
-                    waiting[pool.submit(self.work, task)] = key
+                    waiting[pool.submit(_alone, self.work, task)] = key
                 if not waiting:
                     return
                 for future in wait(waiting, return_when=FIRST_COMPLETED).done:
@@ -212,10 +209,15 @@ class Run(Generic[Task]):
             pool.shutdown(wait=True, cancel_futures=True)
 
 
+def _alone(work: Callable[[Task], Result], task: Task) -> Result:
+    """Do one task with one BLAS thread: the order of a sum depends on their number, and workers use the other cores."""
+    with threadpool_limits(1):
+        return work(task)
+
+
 def _start_worker() -> None:
-    """One BLAS thread a worker; Ctrl-C is the parent's affair; no worker outlives its parent."""
+    """Ctrl-C is the parent's affair; no worker outlives its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threadpool_limits(1)
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_leave_with, args=(parent,), daemon=True).start()

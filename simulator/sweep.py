@@ -9,7 +9,7 @@ import platform
 import shlex
 import sys
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -27,6 +27,7 @@ from simulator.campaign import Campaign
 from simulator.progress import progress_bar
 from simulator.runner import Journal, Progress, Result, Row, Run, silent
 from simulator.table import to_csv, write_parquet
+from simulator.transports import Way, opened
 from simulator.trial import run_trial
 
 PRESENTATION = frozenset(
@@ -57,6 +58,7 @@ def run_campaign(
     workers: int,
     progress: Progress = silent,
     command: str = "simulate sweep",
+    times: bool = True,
     work: Callable[..., Result] = run_trial,
 ) -> list[Row]:
     """Run what the journal in `out` does not hold, then write the table, the times and the report.
@@ -75,7 +77,7 @@ def run_campaign(
     (out / "seconds.csv").write_text("".join(["seconds\n", *(f"{value:.6f}\n" for value in seconds)]), "utf-8")
     (out / "environment.json").write_text(json.dumps(environment(workers), indent=1) + "\n", "utf-8")
     words = report.Words(campaign.title or campaign.name, campaign.lead, command, campaign.notes)
-    (out / "report.html").write_text(report.render(rows, words, seconds), "utf-8")
+    (out / "report.html").write_text(report.render(rows, words, seconds if times else None), "utf-8")
     return rows
 
 
@@ -144,6 +146,8 @@ def sweep_command(
     seed: Annotated[int | None, typer.Option(help="Seed of the campaign.")] = None,
     grid: Annotated[str | None, typer.Option(help="Grid of the comparison, for example 64x64.")] = None,
     rounds: Annotated[int | None, typer.Option(help="Transmissions of what is missing, the first included.")] = None,
+    transport: Annotated[Way, typer.Option(help="direct in process; asgi or http through the receiver.")] = Way.DIRECT,
+    times: Annotated[bool, typer.Option(help="Plot the times of the reconstructions, too.")] = True,
     fresh: Annotated[bool, typer.Option("--fresh", help="Forget what had finished.")] = False,
 ) -> None:
     """Run a campaign: surfaces x features x channels x methods x seeds; run again to go on where it stopped."""
@@ -169,12 +173,14 @@ def sweep_command(
     if fresh:
         (folder / "journal.jsonl").unlink(missing_ok=True)
     try:
-        with progress_bar(console, plan.name) as progress:
+        with progress_bar(console, plan.name) as progress, opened(transport) as carrier:
             rows = run_campaign(
                 plan,
                 folder,
                 workers=workers or os.cpu_count() or 1,
                 progress=progress,
+                work=partial(run_trial, transport=carrier),
+                times=times,
                 command=shlex.join(["simulate", *sys.argv[1:]]),
             )
     except KeyboardInterrupt:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Protocol
@@ -23,12 +23,18 @@ from common.errors import ConflictError, LimitError, NotReadyError, ParameterErr
 from common.metrics import max_error, nrmse, rmse
 from common.surface import FeatureSet, FloatArray, HeightGrid, Region, as_points
 from common.wire import PacketDecoder, Reassembly, WireOptions, encode
-from sender.features import extract_features, merge_repeated
+from sender.features import merge_repeated
 from sender.readers import read_points
-from sender.surfaces import find_surface
-from simulator.campaign import FeatureSettings, SurfaceChoice, Trial
+from sender.surfaces import GriddedSurface, find_surface
+from simulator.campaign import CodecSettings, FeatureSettings, SurfaceChoice, Trial
+from simulator.choice import choose_features
+from simulator.codecs import Message, Sandbox, best
+from simulator.codecs.protection import find_protection
+from simulator.codecs.survival import expose
+from simulator.fields import field
 from simulator.methods import Method, parse_method
 from simulator.runner import Cell, Result, Row
+from simulator.table import COLUMNS
 
 FILE_NOISE = 0.05
 """Usual noise of a surface from a file, over its range of z."""
@@ -43,17 +49,35 @@ class Arrived:
     sent_bytes: int
     received: int
     damaged: int
+    grid: HeightGrid | None = None
+    """What the receiver's default network made of it, where a receiver was there."""
 
 
 class Transport(Protocol):
     """Carries features through a channel."""
 
     def __call__(
-        self, features: FeatureSet, *, transmission: str, channel: Channel, options: WireOptions, rounds: int
-    ) -> Arrived: ...
+        self,
+        features: FeatureSet,
+        *,
+        transmission: str,
+        channel: Channel,
+        options: WireOptions,
+        rounds: int,
+        shape: tuple[int, int],
+    ) -> Arrived:
+        """Send `features` up to `rounds` times; `shape` (rows, columns) is that of the grid to compare on."""
 
 
-def direct(features: FeatureSet, *, transmission: str, channel: Channel, options: WireOptions, rounds: int) -> Arrived:
+def direct(
+    features: FeatureSet,
+    *,
+    transmission: str,
+    channel: Channel,
+    options: WireOptions,
+    rounds: int,
+    shape: tuple[int, int],  # noqa: ARG001 - the network is trained by whom the features are handed to
+) -> Arrived:
     """Encoder, channel and decoder in this process, in virtual time."""
     packets = encode(features, transmission=transmission, options=options)
     reassembly = Reassembly(transmission)
@@ -94,6 +118,14 @@ class Source:
 @lru_cache(maxsize=16)
 def source_of(choice: SurfaceChoice) -> Source:
     """The source of a campaign's surface; raises FileFormatError or PointsError for a file that is no surface."""
+    source = _source(choice)
+    gap = max(source.region.width, source.region.height) / choice.pieces if choice.pieces else source.gap
+    return replace(source, points=choice.points or source.points, gap=gap)
+
+
+def _source(choice: SurfaceChoice) -> Source:
+    if choice.field is not None:
+        return _field_source(choice.field)
     if choice.file is None:
         surface = find_surface(str(choice.name))
         return Source(surface.region, surface.noise, surface.points, surface.gap, surface.grid, surface.sample)
@@ -116,6 +148,14 @@ def source_of(choice: SurfaceChoice) -> Source:
     return Source(region, FILE_NOISE * float(np.ptp(cloud[:, 2])), len(cloud), None, truth, sample)
 
 
+def _field_source(name: str) -> Source:
+    """A field on which raster codecs are measured; its nodes are the cloud."""
+    nodes = field(name)
+    cloud = nodes.points()
+    surface = GriddedSurface(name, name, lambda: nodes, pieces=1)
+    return Source(surface.region, surface.noise, len(cloud), None, surface.grid, surface.sample)
+
+
 @lru_cache(maxsize=64)
 def _truth(choice: SurfaceChoice, shape: tuple[int, int]) -> HeightGrid:
     return source_of(choice).truth(shape)
@@ -127,44 +167,6 @@ def _number(*parts: object) -> int:
 
 def _generator(*parts: object) -> np.random.Generator:
     return np.random.default_rng(_number(*parts))
-
-
-def choose_features(cloud: FloatArray, source: Source, settings: FeatureSettings, wire: WireOptions) -> FeatureSet:
-    """The features of a cloud as a campaign asks for them.
-
-    Raises
-    ------
-    ParameterError
-        If neither the settings nor the source say how large the pieces are, or nothing fits into the budget.
-    """
-    longer = max(source.region.width, source.region.height)
-
-    def extract(gap: float) -> FeatureSet:
-        return extract_features(cloud, gap=gap, kind=settings.kind, region=source.region)
-
-    if settings.budget is not None:
-        return _finest(lambda pieces: extract(longer / pieces), len(cloud), settings.budget, wire)
-    gap = longer / settings.pieces if settings.pieces is not None else settings.gap or source.gap
-    if gap is None:
-        raise ParameterError("features of a file need gap, pieces or budget")
-    return extract(gap)
-
-
-def _finest(extract: Callable[[int], FeatureSet], points: int, budget: int, wire: WireOptions) -> FeatureSet:
-    """The features of the most pieces along the longer side whose packets fit into `budget` bytes."""
-
-    def fits(pieces: int) -> bool:
-        packets = encode(extract(pieces), transmission="budget", options=wire)
-        return sum(map(len, packets)) <= budget
-
-    # Beyond two pieces a point along each side every point is a feature, and more pieces change nothing.
-    low, high = 0, 2 * int(np.ceil(np.sqrt(points))) + 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if fits(middle) else (low, middle)
-    if not low:
-        raise ParameterError(f"not even the features of a single piece fit into {budget} bytes")
-    return extract(low)
 
 
 def product_version() -> str:
@@ -196,25 +198,15 @@ def run_trial(trial: Trial, *, transport: Transport = direct, clock: Callable[[]
     SurfacelinkError
         If the trial itself cannot be run: the cloud is no surface, the gap does not fit, nothing fits the budget.
     """
-    source = source_of(trial.surface)
     truth = _truth(trial.surface, trial.grid)
     extent = float(np.ptp(truth.z))
-    points = trial.features.points or source.points
-    cloud = source.sample(_generator(trial.seed, "cloud", trial.surface.label, points, trial.sample), points)
-    sent = choose_features(cloud, source, trial.features, trial.wire)
-    spec = trial.channel.at(trial.level or 0.0, extent=extent, noise=source.noise)
+    noise = source_of(trial.surface).noise
     transmission = f"{trial.campaign}-{trial.digest}-{trial.sample}"
-    channel = Channel.parse(spec, seed=trial.seed)
-    arrived = transport(sent, transmission=transmission, channel=channel, options=trial.wire, rounds=trial.rounds)
-    common: dict[str, Cell] = {
+    channel = Channel.parse(trial.channel.at(trial.level or 0.0, extent=extent, noise=noise), seed=trial.seed)
+    common: dict[str, Cell] = dict.fromkeys(COLUMNS) | {
         "campaign": trial.campaign,
         "version": product_version(),
         "surface": trial.surface.label,
-        "points": points,
-        "sends": trial.features.label,
-        "kind": sent.kind,
-        "gap": sent.gap,
-        "wire": trial.wire.model_dump_json(exclude_defaults=True),
         "rounds": trial.rounds,
         "axis": trial.channel.axis,
         "level": trial.level,
@@ -224,40 +216,118 @@ def run_trial(trial: Trial, *, transport: Transport = direct, clock: Callable[[]
         "transmission": transmission,
         "rows": trial.grid[0],
         "columns": trial.grid[1],
+        "z_range": extent,
+    }
+    if trial.codec is not None:
+        outcomes: list[tuple[Row, float]] = [(common | _codec_row(trial, trial.codec, truth, channel), 0.0)]
+    else:
+        outcomes = list(_reconstructions(trial, common, truth, channel, transport, clock))
+    return Result(tuple(row for row, _ in outcomes), tuple(seconds for _, seconds in outcomes))
+
+
+@lru_cache(maxsize=64)
+def _message(surface: SurfaceChoice, shape: tuple[int, int], codec: str, payload: int) -> Message:
+    return best(codec, _truth(surface, shape).z, payload)
+
+
+def _codec_row(trial: Trial, settings: CodecSettings, truth: HeightGrid, channel: Channel) -> dict[str, Cell]:
+    """A raster codec on the same link, at the same bytes; damaged streams are decoded in a child process."""
+    code = find_protection(settings.protection)
+    message = _message(trial.surface, trial.grid, settings.codec, code.payload(settings.budget))
+    with Sandbox() as box:
+        survival = expose(
+            truth.z,
+            message,
+            channel,
+            [_number(trial.seed, trial.digest, trial.sample)],
+            protection=settings.protection,
+            datagram=settings.datagram,
+            sandbox=box,
+        )
+    (error,) = survival.errors
+    row: dict[str, Cell] = {
+        "sends": settings.label,
+        "method": settings.method,
+        "packets": -(-survival.sent // settings.datagram),
+        "bytes": survival.sent,
+    }
+    if error is None:
+        return row | {"failure": f"decoding: {', '.join(survival.failures)}"}
+    return row | {"nrmse": error, "rmse": error * float(np.ptp(truth.z))}
+
+
+@lru_cache(maxsize=256)
+def _features(
+    surface: SurfaceChoice, settings: FeatureSettings, wire: WireOptions, seed: int, sample: int
+) -> FeatureSet:
+    source = source_of(surface)
+    cloud = _cloud(surface, settings.points, seed, sample)
+    return choose_features(cloud, source.region, settings, wire, source.gap)
+
+
+def _cloud(surface: SurfaceChoice, points: int | None, seed: int, sample: int) -> FloatArray:
+    source = source_of(surface)
+    n = points or source.points
+    return source.sample(_generator(seed, "cloud", surface.label, n, sample), n)
+
+
+def _reconstructions(
+    trial: Trial,
+    common: dict[str, Cell],
+    truth: HeightGrid,
+    channel: Channel,
+    transport: Transport,
+    clock: Callable[[], float],
+) -> Iterator[tuple[Row, float]]:
+    # What is sent depends neither on the channel nor on the methods: a sweep over channels chooses it once.
+    sent = _features(trial.surface, trial.features, trial.wire, trial.seed, trial.sample)
+    arrived = transport(
+        sent,
+        transmission=str(common["transmission"]),
+        channel=channel,
+        options=trial.wire,
+        rounds=trial.rounds,
+        shape=trial.grid,
+    )
+    common = common | {
+        "points": trial.features.points or source_of(trial.surface).points,
+        "sends": trial.features.label,
+        "kind": sent.kind,
+        "gap": sent.gap,
+        "wire": trial.wire.model_dump_json(exclude_defaults=True),
         "features": len(sent),
         "packets": arrived.packets,
         "bytes": arrived.sent_bytes,
         "packets_received": arrived.received,
         "packets_damaged": arrived.damaged,
         "features_received": None if arrived.features is None else len(arrived.features),
-        "z_range": extent,
     }
-    whole = FeatureSet(cloud, source.region)
-    outcomes = list(_reconstructions(trial, arrived.features, whole, truth, clock))
-    return Result(tuple({**common, **row} for row, _ in outcomes), tuple(seconds for _, seconds in outcomes))
-
-
-def _reconstructions(
-    trial: Trial, arrived: FeatureSet | None, cloud: FeatureSet, truth: HeightGrid, clock: Callable[[], float]
-) -> Iterator[tuple[Row, float]]:
     for text in trial.methods:
         method = parse_method(text)
+        points = arrived.features
+        if method.on_cloud:
+            points = FeatureSet(_cloud(trial.surface, trial.features.points, trial.seed, trial.sample), sent.region)
+        # A receiver's grid spans the region evenly; the nodes of a measured surface, thinned, need not.
+        evenly = arrived.grid is not None and _same_nodes(arrived.grid, truth)
+        grid = arrived.grid if method.is_default and not method.on_cloud and evenly else None
         rng = _generator(trial.seed, "method", text, trial.sample)
         start = clock()
-        errors = _errors(method, cloud if method.on_cloud else arrived, truth, rng)
-        yield {"method": text, **errors}, clock() - start
+        errors = _errors(method, points, truth, rng) if grid is None else _compared(truth, grid.z)
+        yield common | {"method": text} | errors, clock() - start
+
+
+def _same_nodes(one: HeightGrid, other: HeightGrid) -> bool:
+    return np.array_equal(one.x, other.x) and np.array_equal(one.y, other.y)
 
 
 def _errors(method: Method, points: FeatureSet | None, truth: HeightGrid, rng: np.random.Generator) -> dict[str, Cell]:
     try:
         if points is None:
             raise NotReadyError("nothing arrived")
-        z = method.heights(points, truth, rng)
-        return {
-            "rmse": rmse(truth.z, z),
-            "nrmse": nrmse(truth.z, z),
-            "max_error": max_error(truth.z, z),
-            "failure": None,
-        }
+        return _compared(truth, method.heights(points, truth, rng))
     except SurfacelinkError as error:
-        return {"rmse": None, "nrmse": None, "max_error": None, "failure": f"{type(error).__name__}: {error.detail}"}
+        return {"failure": f"{type(error).__name__}: {error.detail}"}
+
+
+def _compared(truth: HeightGrid, z: FloatArray) -> dict[str, Cell]:
+    return {"rmse": rmse(truth.z, z), "nrmse": nrmse(truth.z, z), "max_error": max_error(truth.z, z)}

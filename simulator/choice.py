@@ -1,0 +1,76 @@
+"""Which points of a cloud a campaign sends: the paper's features or others, of a given size or in given bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from common.errors import ParameterError
+from common.surface import FeatureSet, FloatArray, Region
+from common.wire import WireOptions, encode
+from sender.features import extract_features, piece_of
+from simulator.campaign import FeatureSettings
+
+
+def choose_features(
+    cloud: FloatArray, region: Region, settings: FeatureSettings, wire: WireOptions, usual_gap: float | None
+) -> FeatureSet:
+    """The features of a cloud as a campaign asks for them.
+
+    Parameters
+    ----------
+    cloud : ndarray, shape (n, 3)
+    region : Region
+    settings : FeatureSettings
+    wire : WireOptions
+        What a budget is counted with.
+    usual_gap : float or None
+        The gap where the settings give no size.
+
+    Raises
+    ------
+    ParameterError
+        If nothing says how large the pieces are, or nothing fits into the budget.
+    """
+    longer = max(region.width, region.height)
+
+    def extract(gap: float) -> FeatureSet:
+        if settings.kind == "central":
+            return central_features(cloud, gap, region)
+        return extract_features(cloud, gap=gap, kind=settings.kind, region=region)
+
+    if settings.budget is not None:
+        return _finest(lambda pieces: extract(longer / pieces), len(cloud), settings.budget, wire)
+    gap = longer / settings.pieces if settings.pieces is not None else settings.gap or usual_gap
+    if gap is None:
+        raise ParameterError("features of a file or a field need gap, pieces or budget")
+    return extract(gap)
+
+
+def central_features(cloud: FloatArray, gap: float, region: Region) -> FeatureSet:
+    """The point of each piece nearest to its centre: as even as the cloud allows, blind to what the surface does."""
+    piece = piece_of(cloud, region, gap)
+    _, columns = region.pieces(gap)
+    centers = np.column_stack([piece % columns, piece // columns]) * gap + gap / 2 + (region.x_min, region.y_min)
+    distance = np.sum((cloud[:, :2] - centers) ** 2, axis=1)
+    order = np.lexsort((cloud[:, 1], cloud[:, 0], distance, piece))
+    first = np.flatnonzero(np.diff(piece[order], prepend=-1))
+    return FeatureSet(cloud[order[first]], region, gap, "cloud")
+
+
+def _finest(extract: Callable[[int], FeatureSet], points: int, budget: int, wire: WireOptions) -> FeatureSet:
+    """The features of the most pieces along the longer side whose packets fit into `budget` bytes."""
+
+    def fits(pieces: int) -> bool:
+        packets = encode(extract(pieces), transmission="budget", options=wire)
+        return sum(map(len, packets)) <= budget
+
+    # Beyond two pieces a point along each side every point is a feature, and more pieces change nothing.
+    low, high = 0, 2 * int(np.ceil(np.sqrt(points))) + 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if fits(middle) else (low, middle)
+    if not low:
+        raise ParameterError(f"not even the features of a single piece fit into {budget} bytes")
+    return extract(low)
