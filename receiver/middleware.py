@@ -69,11 +69,30 @@ class ChannelMiddleware:
         delivery = await to_thread.run_sync(
             lambda: carry(channel, body, transmission=transmission, attempt=attempt), abandon_on_cancel=True
         )
-        if delivery.seconds:
-            await self.sleep(delivery.seconds)
+        if not await self._wait(delivery.seconds, receive):
+            return
         harmed, faults = delivery.body, faults_header(delivery)
         scope = {**scope, "headers": _with_length(headers, len(harmed)), SENT: body, FAULTS: faults}
         await self.app(scope, _replay(harmed, receive), _announce(faults, send))
+
+    async def _wait(self, seconds: float, receive: Receive) -> bool:
+        """Wait for the link; False if the client went away meanwhile, so that a slow link holds no dead requests."""
+        if not seconds:
+            return True
+        there = True
+        async with anyio.create_task_group() as group:
+
+            async def watch() -> None:
+                nonlocal there
+                while (await receive())["type"] != "http.disconnect":
+                    pass
+                there = False
+                group.cancel_scope.cancel()
+
+            group.start_soon(watch)
+            await self.sleep(seconds)
+            group.cancel_scope.cancel()
+        return there
 
     async def _read(self, headers: Headers, receive: Receive) -> bytes | None:
         """The whole body, or None where the client went away; raises LimitError."""

@@ -26,7 +26,7 @@ from common.errors import ChannelError
 
 MAX_IMPAIRMENTS = 32
 """More than any link needs; bounds the work that one PUT /v1/channel can ask of every later transmission."""
-MAX_GROWTH = 64
+MAX_GROWTH = 8
 """Packets that duplication may make of one: bounds the memory of a transmission."""
 MAX_TEXT = 4096
 """Characters of a short string: 32 impairments with every parameter spelled out stay below it."""

@@ -202,6 +202,32 @@ async def test_a_client_that_goes_away_leaves_nothing_behind() -> None:
 
 
 @pytest.mark.anyio
+async def test_a_client_that_goes_away_during_the_delay_is_not_waited_for(packets: list[bytes]) -> None:
+    reached: list[Scope] = []
+
+    async def application(scope: Scope, receive: object, send: object) -> None:
+        reached.append(scope)
+
+    messages: list[Message] = [{"type": "http.request", "body": packets[0]}, {"type": "http.disconnect"}]
+
+    async def receive() -> Message:
+        return messages.pop(0)
+
+    async def send(message: Message) -> None:
+        raise AssertionError(message)
+
+    app = create("delay:seconds=3600")
+    scope: Scope = {
+        "type": "http", "method": "POST", "path": "/v1/transmissions/hills", "headers": [], "query_string": b"",
+        "app": app,
+    }  # fmt: skip
+    with anyio.fail_after(10):
+        await ChannelMiddleware(application, max_body_bytes=LIMIT)(scope, receive, send)
+    assert not reached
+    assert not messages
+
+
+@pytest.mark.anyio
 async def test_a_mounted_application_knows_its_own_path(packets: list[bytes]) -> None:
     app = create("erasure:p=1")
     transport = httpx.ASGITransport(app, root_path="/link")

@@ -12,7 +12,7 @@ from common.channel.datagram import MAX_TWIN, Datagram
 from common.channel.impairment import Impairment, Probability
 from common.channel.passage import Passage
 
-MAX_COPIES = 16
+MAX_COPIES = 7
 
 
 class Duplication(Impairment):

@@ -75,7 +75,7 @@ WRONG = [
     ("rayleigh:ebn0_db=3,coherence=0", "coherence"),
     (";".join(["erasure:p=0.1"] * (MAX_IMPAIRMENTS + 1)), "at most"),
     (" " * (MAX_TEXT + 1), "characters"),
-    ("duplication:p=1,copies=15;duplication:p=1,copies=15", f"at most {MAX_GROWTH}"),
+    ("duplication:p=1,copies=2;duplication:p=1,copies=2", f"at most {MAX_GROWTH}"),
 ]
 
 
