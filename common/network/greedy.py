@@ -24,6 +24,7 @@ import numpy as np
 import scipy.linalg
 
 from common.errors import ParameterError
+from common.network.threads import single_threaded_blas
 from common.surface import FloatArray, IntArray
 
 Gram: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
@@ -136,6 +137,25 @@ def select(
     ):
         raise ParameterError(f"initial must be at most {limit} different rows of X, of {n}")
 
+    # The products of a round are too small for the threads of BLAS, which cost more time than they save.
+    with single_threaded_blas():
+        return _select(X, y, kernel, smoothing, weights, tolerance, limit, affordable, first, block, tick)
+
+
+def _select(
+    X: FloatArray,
+    y: FloatArray,
+    kernel: Gram,
+    smoothing: float,
+    weights: FloatArray | None,
+    tolerance: float,
+    limit: int,
+    affordable: int,
+    first: IntArray,
+    block: int | None,
+    tick: Callable[[float], None] | None,
+) -> Selection:
+    n = len(X)
     step = block or (1 if n <= SHORTLIST_POINTS else BLOCK)
     room = min(limit, affordable)
     basis = _Basis(X, y, kernel, smoothing, weights, room)
