@@ -215,7 +215,12 @@ def test_a_delivery_decodes_as_one_body(few_packets: list[bytes]) -> None:
     ]
 
 
-PROTECTED = [WireOptions(parity=0.5), WireOptions(copies=3), WireOptions(inner=16), WireOptions(precision=12)]
+PROTECTED = [
+    WireOptions(parity=0.5),
+    WireOptions(copies=3),
+    WireOptions(inner=16),
+    WireOptions(coding="compact", parity=0.2),
+]
 
 
 @pytest.mark.parametrize("options", PROTECTED, ids=str)
