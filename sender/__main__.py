@@ -23,7 +23,7 @@ from common.surface import Unit
 from common.wire import WireOptions
 from sender.app import create_app
 from sender.client import ReceiverClient, Sent
-from sender.features import Repeated
+from sender.features import Extracted, Repeated
 from sender.readers import read_points
 from sender.settings import Settings
 from sender.surfaces import SURFACES
@@ -80,7 +80,7 @@ def send(
     gap: Annotated[float | None, typer.Option(help="Segment gap, in the units of x and y. (as usual for it)")] = None,
     points: Annotated[int | None, typer.Option(help="Points of the cloud. (as usual for it)")] = None,
     kind: Annotated[
-        Literal["extrema", "cloud"], typer.Option(help="What to keep: cloud sends every point.")
+        Extracted, typer.Option(help="Points to send: extrema of the pieces, a lattice, or the whole cloud.")
     ] = "extrema",
     seed: Annotated[int, typer.Option(help="Seed the cloud is drawn from.")] = 0,
     columns: Annotated[str | None, typer.Option(help="Columns of a text file: names or numbers of x,y,z.")] = None,

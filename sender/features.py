@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from common.errors import ParameterError, PointsError
 from common.surface import FeatureSet, FloatArray, IntArray, Region, Units, as_points
 
 Repeated: TypeAlias = Literal["error", "mean", "min", "max"]
 """What to do with positions that carry more than one height."""
+
+Extracted: TypeAlias = Literal["extrema", "lattice", "cloud"]
+"""The kinds of feature set that `extract_features` makes."""
 
 EMPTY_PIECES = 100
 """Pieces a point on average at most: beyond that nearly every piece is empty, every point a feature, and the gap a
@@ -94,7 +98,7 @@ def extract_features(
     points: npt.ArrayLike,
     *,
     gap: float | None,
-    kind: Literal["extrema", "cloud"] = "extrema",
+    kind: Extracted = "extrema",
     region: Region | None = None,
     repeated: Repeated = "error",
     units: Units = Units(),
@@ -110,8 +114,10 @@ def extract_features(
         x, y, z of the cloud, in any order: the result does not depend on it.
     gap : float or None
         Side of a piece (segment gap), in the units of x and y; None, and not used, for the kind "cloud".
-    kind : {"extrema", "cloud"}
-        "cloud" keeps every point.
+    kind : {"extrema", "lattice", "cloud"}
+        "lattice" takes one point a piece, in the middle of it, so that positions need not be sent; its height is
+        interpolated linearly between the points (beyond their convex hull: that of the nearest). Where `gap` does not
+        divide the region, the pieces of a lattice are a little smaller. "cloud" keeps every point.
     region : Region, optional
         Where the surface is defined; by default the bounding rectangle of the points. Points outside are refused.
     repeated : {"error", "mean", "min", "max"}
@@ -122,7 +128,8 @@ def extract_features(
     Returns
     -------
     FeatureSet
-        Extrema are ordered by piece, the point of least z first; a cloud by x, then y.
+        Extrema are ordered by piece, the point of least z first; a lattice row by row; a cloud by x,
+        then y.
 
     Raises
     ------
@@ -148,10 +155,10 @@ def extract_features(
         )
     if kind == "cloud":
         return FeatureSet(points, region, None, kind, units)
-    if kind != "extrema":
-        raise ParameterError(f"kind {kind!r} cannot be extracted; accepted are extrema, cloud")
+    if kind not in get_args(Extracted):
+        raise ParameterError(f"kind {kind!r} cannot be extracted; accepted are {', '.join(get_args(Extracted))}")
     if gap is None:
-        raise ParameterError("the extrema of pieces need a segment gap")
+        raise ParameterError("pieces need a segment gap")
     rows, columns = region.pieces(gap)
     if rows * columns > EMPTY_PIECES * len(points):
         usual = math.sqrt(2 * region.width * region.height / len(points))
@@ -159,8 +166,24 @@ def extract_features(
             f"segment gap {gap:g} cuts the region into {rows * columns:,} pieces for {len(points):,} points, nearly "
             f"all of them empty; choose about {usual:.2g}, or at least {usual / math.sqrt(2 * EMPTY_PIECES):.2g}"
         )
+    if kind == "lattice":
+        return FeatureSet(_lattice(points, region, rows, columns), region, gap, kind, units)
     piece = piece_of(points, region, gap)
     order = np.lexsort((points[:, 1], points[:, 0], points[:, 2], piece))
     first = np.flatnonzero(np.diff(piece[order], prepend=-1))
     last = np.append(first[1:], len(order)) - 1
     return FeatureSet(points[order[np.unique([first, last])]], region, gap, kind, units)
+
+
+def _lattice(points: FloatArray, region: Region, rows: int, columns: int) -> FloatArray:
+    """A point in the middle of each of `rows` x `columns` pieces, shape (rows * columns, 3), row by row."""
+    x, y = np.meshgrid(
+        region.x_min + (np.arange(columns) + 0.5) * (region.width / columns),
+        region.y_min + (np.arange(rows) + 0.5) * (region.height / rows),
+    )
+    # A region far from square would have its triangles judged by slivers.
+    scaled = (points[:, :2] - (region.x_min, region.y_min)) / (region.width, region.height)
+    at = (x - region.x_min) / region.width, (y - region.y_min) / region.height
+    z = LinearNDInterpolator(scaled, points[:, 2])(*at)
+    z = np.where(np.isnan(z), NearestNDInterpolator(scaled, points[:, 2])(*at), z)
+    return np.column_stack([x.ravel(), y.ravel(), z.ravel()])

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -16,7 +16,7 @@ from common.network.model import NetworkSettings
 from common.surface import FeatureSet, FloatArray, Region, Unit, Units
 from common.wire import Cost, WireOptions, cost, encode
 from sender.client import ReceiverClient, Sent
-from sender.features import Repeated, extract_features
+from sender.features import Extracted, Repeated, extract_features
 from sender.surfaces import find_surface
 
 PIECES_OF_A_FILE = 1024
@@ -35,7 +35,7 @@ class Order(BaseModel):
     points: int | None = Field(None, ge=1, description="Points of the cloud; by default as many as is usual for it.")
     seed: int = Field(0, ge=0, description="Seed the cloud is drawn from.")
     gap: float | None = Field(None, gt=0, description="Segment gap, in the units of x and y.")
-    kind: Literal["extrema", "cloud"] = Field("extrema", description="Feature points to keep; cloud sends every point.")
+    kind: Extracted = Field("extrema", description="Points to send: extrema of pieces, a lattice, or the whole cloud.")
     repeated: Repeated = Field("error", description="What to do with positions that carry more than one height.")
     columns: tuple[str, str, str] | None = Field(None, description="Columns of an uploaded text file: x, y, z.")
     xy_unit: Unit = Field("", description="Unit of x and y of an upload.")

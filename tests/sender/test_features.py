@@ -65,6 +65,20 @@ def test_a_cloud_keeps_every_point() -> None:
     assert features.gap is None
 
 
+def test_a_lattice_lies_in_the_middle_of_the_pieces_and_on_a_plane_where_the_points_do() -> None:
+    rng = np.random.default_rng(0)
+    xy = rng.uniform(0, 6, (400, 2))
+    region = Region(0.0, 6.0, 0.0, 4.0)
+    xy[:, 1] *= 4 / 6
+    features = extract_features(np.column_stack([xy, 2 + xy @ (3.0, -1.0)]), gap=0.5, kind="lattice", region=region)
+    assert features.kind == "lattice"
+    assert len(features) == 8 * 12
+    np.testing.assert_allclose(features.points[:13, 0], [*np.arange(0.25, 6, 0.5), 0.25])
+    np.testing.assert_allclose(features.points[:13, 1], [0.25] * 12 + [0.75])
+    inner = (abs(features.xy - (3, 2)) < (2.3, 1.3)).all(axis=1)
+    np.testing.assert_allclose(features.z[inner], 2 + features.xy[inner] @ (3.0, -1.0), atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("cloud", "message"),
     [
