@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.linalg
-from scipy.linalg import lapack
 
 from common.errors import TrainingError
+from common.network import lapack
 from common.network.selection import TINY, Samples
 from common.surface import FloatArray
 
@@ -35,8 +34,8 @@ class Dense:
         for _ in range(_MAX_RAISES):
             matrix = gram.copy(order="F")
             matrix[np.diag_indices(n)] += smoothing / weights
-            factor, failed = lapack.dpotrf(matrix, lower=1, clean=0, overwrite_a=1)
-            if not failed:
+            factor = lapack.cholesky(matrix)
+            if factor is not None:
                 break
             smoothing = 10 * max(smoothing, n * float(np.finfo(np.float64).eps))
         else:
@@ -47,8 +46,7 @@ class Dense:
 
     def inverse_times(self, right: FloatArray) -> FloatArray:
         """(K + lambda W^-1)^-1 B for B (n, k)."""
-        solved, _ = lapack.dpotrs(self.factor, right, lower=1)
-        return np.asarray(solved)
+        return lapack.solve(self.factor, right)
 
     def solve(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Coefficients (n, k) and bias (k,) for values (n, k)."""
@@ -58,8 +56,7 @@ class Dense:
 
     def leave_one_out(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residuals (n, k) and their variances over the signal variance (n,)."""
-        inverse, _ = lapack.dpotri(self.factor, lower=1)
-        diagonal = np.diag(inverse) - self.one**2 / self.one.sum()
+        diagonal = np.diag(lapack.inverse(self.factor)) - self.one**2 / self.one.sum()
         return coefficients / diagonal[:, None], 1 / diagonal
 
     def restricted(self, samples: Samples, coefficients: FloatArray) -> tuple[float, float]:
@@ -74,7 +71,7 @@ class Dense:
 
     def posterior_variance(self, cross: FloatArray) -> FloatArray:
         """Variance over the signal variance, shape (m,), where the kernel to the centres is `cross` (n, m)."""
-        half = scipy.linalg.solve_triangular(self.factor, cross, lower=True, check_finite=False)
+        half = lapack.solve_lower(self.factor, cross)
         bias_gap = 1 - self.one @ cross
         variance = 1 - np.einsum("nm,nm->m", half, half) + bias_gap**2 / self.one.sum()
         return np.asarray(np.clip(variance, 0, None))

@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+import pytest
+import scipy.linalg
+from scipy.linalg import cython_blas, cython_lapack
+
+from common.network import lapack
+
+
+def positive(n: int) -> np.ndarray:
+    half = np.random.default_rng(n).normal(size=(n, n))
+    return np.asarray(half @ half.T + n * np.eye(n))
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+@pytest.mark.parametrize("n", [0, 1, 2, 7, 90])
+def test_the_four_steps_are_scipy_s(n: int, order: str) -> None:
+    matrix = np.array(positive(n), order=order)  # type: ignore[call-overload]
+    before = matrix.copy()
+    factor = lapack.cholesky(matrix)
+    assert factor is not None
+    np.testing.assert_array_equal(matrix, before)
+    np.testing.assert_allclose(np.tril(factor), np.linalg.cholesky(matrix), rtol=1e-12, atol=1e-12)
+    kept = factor.copy()
+    for shape in ((n,), (n, 3), (n, 0)):
+        right = np.random.default_rng(1).normal(size=shape)
+        np.testing.assert_allclose(matrix @ lapack.solve(factor, right), right, atol=1e-10)
+        np.testing.assert_allclose(np.tril(factor) @ lapack.solve_lower(factor, right), right, atol=1e-10)
+    np.testing.assert_allclose(np.tril(lapack.inverse(factor)), np.tril(np.linalg.inv(matrix)), atol=1e-10)
+    np.testing.assert_array_equal(factor, kept)
+
+
+def test_the_same_bits_as_scipy() -> None:
+    matrix = positive(40)
+    expected, _ = scipy.linalg.lapack.dpotrf(matrix, lower=1, clean=0)
+    factor = lapack.cholesky(matrix)
+    assert factor is not None
+    np.testing.assert_array_equal(factor, expected)
+    np.testing.assert_array_equal(lapack.inverse(factor), scipy.linalg.lapack.dpotri(expected, lower=1)[0])
+
+
+def test_what_is_not_positive_definite_has_no_factor() -> None:
+    assert lapack.cholesky(np.diag([1.0, -1.0])) is None
+    assert lapack.cholesky(np.zeros((3, 3))) is None
+
+
+@pytest.mark.parametrize("right", [np.zeros(3), np.zeros((3, 1)), np.zeros((4, 1, 1)), np.float64(0)])
+def test_shapes_are_checked_before_memory_is_touched(right: np.ndarray) -> None:
+    for step in (lapack.solve, lapack.solve_lower):
+        with pytest.raises(ValueError, match="right side"):
+            step(np.eye(4), right)
+    for only in (lapack.cholesky, lapack.inverse):
+        with pytest.raises(ValueError, match="square"):
+            only(np.zeros((4, 3)))
+
+
+def test_the_interpreter_is_given_away_during_the_call() -> None:
+    for module, name in ((cython_lapack, "dpotrf"), (cython_lapack, "dpotri"), (cython_blas, "dtrsm")):
+        routine, _ = lapack._routine(module, name)
+        # What keeps the lock is made by PYFUNCTYPE, whose functions bear this flag.
+        assert not type(routine)._flags_ & ctypes.PYFUNCTYPE(None)._flags_ & ~ctypes.CFUNCTYPE(None)._flags_  # type: ignore[attr-defined]
