@@ -339,7 +339,7 @@ def _framed(body: bytes) -> bool:
 
 
 def _datagram(packet: Packet) -> bytes:
-    """The bytes `packet` was decoded from."""
+    """Bytes that decode to `packet`, without the inner code that brought it here."""
     return write_datagrams(packet.header, [packet.block], packet.number)[0]
 
 

@@ -12,6 +12,7 @@ import pytest
 from common.errors import StoreError
 from common.network.model import NetworkSettings, SurfaceModel
 from common.surface import FeatureSet
+from common.wire import WireOptions, encode
 from tests.receiver.conftest import Running, packets_of
 
 pytestmark = [
@@ -73,6 +74,34 @@ async def test_packets_of_several_bodies_are_joined_across_restarts(running: Run
         surface = (await client.get("/v1/surfaces/hills?wait=60")).json()
         assert surface["network"]["centers"] == len(features)
         assert (await client.transmit("hills", packets[0])).json()["delivery"]["duplicate"] == 1
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        WireOptions(datagram=96, precision="float64"),
+        WireOptions(datagram=96, precision="float32"),
+        WireOptions(datagram=96, coding="compact"),
+        WireOptions(datagram=96, parity=0.5),
+        WireOptions(datagram=96, copies=2, inner=16),
+    ],
+    ids=["float64", "float32", "compact", "parity", "copies and inner code"],
+)
+async def test_however_packets_were_written_they_are_the_same_after_a_restart(
+    running: Running, features: FeatureSet, options: WireOptions
+) -> None:
+    packets = encode(features, transmission="hills", options=options)
+    body = b"".join(packets[1:])  # one is lost, and with parity rebuilt
+    async with running(train=stuck) as client:
+        receipt = (await client.transmit("hills", body)).json()
+        before = (await client.get("/v1/surfaces/hills/features")).content
+    async with running(train=stuck) as client:
+        assert (await client.get("/v1/surfaces/hills/features")).content == before
+        again = (await client.transmit("hills", body)).json()
+    assert again["packets"]["received"] == receipt["packets"]["received"]
+    assert again["packets"]["rebuilt"] == receipt["packets"]["rebuilt"] == (1 if options.parity else 0)
+    assert again["packets"]["missing"] == receipt["packets"]["missing"]
+    assert again["delivery"]["new"] == 0
 
 
 async def test_a_harmed_copy_that_a_better_one_replaced_stays_replaced(running: Running, features: FeatureSet) -> None:
