@@ -77,13 +77,13 @@ class SurfaceChoice(Settings):
 class FeatureSettings(Settings):
     """How the cloud is sampled and its features are chosen; what is left out is the surface's own setting.
 
-    `kind`: least and greatest z of each piece; the point nearest to its centre; every point.
+    `kind`: least and greatest z of each piece; the height at its centre, position implied; every point.
     At most one of `gap` (side of a piece), `pieces` (pieces along the longer side of the region) and `budget` (the
     finest pieces whose packets, protection included, fit into that many bytes).
     """
 
     points: int | None = Field(default=None, ge=3, le=10_000_000)
-    kind: Literal["extrema", "central", "cloud"] = "extrema"
+    kind: Literal["extrema", "lattice", "cloud"] = "extrema"
     gap: float | None = Field(default=None, gt=0)
     pieces: int | None = Field(default=None, ge=1, le=4000)
     budget: int | None = Field(default=None, ge=64)
@@ -158,6 +158,10 @@ class ChannelSweep(Settings):
             except ChannelError as error:
                 raise ValueError(str(error)) from error
         return self
+
+    def only(self, level: float | None) -> Self:
+        """The channel at one level: a trial does not depend on what other levels a campaign has."""
+        return self.model_copy(update={"levels": () if level is None else (level,)})
 
     @property
     def moves_points(self) -> bool:
@@ -295,7 +299,7 @@ class Campaign(Settings):
                 campaign=self.name,
                 surface=surface,
                 rounds=self.rounds,
-                channel=channel,
+                channel=channel.only(level),
                 level=level,
                 grid=self.grid,
                 seed=self.seed,

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
+from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from common.errors import ParameterError
 from common.surface import FeatureSet, FloatArray, Region
 from common.wire import WireOptions, encode
-from sender.features import extract_features, piece_of
+from sender.features import extract_features
 from simulator.campaign import FeatureSettings
 
 
@@ -35,9 +37,13 @@ def choose_features(
     """
     longer = max(region.width, region.height)
 
+    if settings.kind == "lattice":
+        # Triangulated once; a budget tries several lattices.
+        heights = linear_heights(cloud)
+
     def extract(gap: float) -> FeatureSet:
-        if settings.kind == "central":
-            return central_features(cloud, gap, region)
+        if settings.kind == "lattice":
+            return lattice(heights, gap, region)
         return extract_features(cloud, gap=gap, kind=settings.kind, region=region)
 
     if settings.budget is not None:
@@ -48,15 +54,30 @@ def choose_features(
     return extract(gap)
 
 
-def central_features(cloud: FloatArray, gap: float, region: Region) -> FeatureSet:
-    """The point of each piece nearest to its centre: as even as the cloud allows, blind to what the surface does."""
-    piece = piece_of(cloud, region, gap)
-    _, columns = region.pieces(gap)
-    centers = np.column_stack([piece % columns, piece // columns]) * gap + gap / 2 + (region.x_min, region.y_min)
-    distance = np.sum((cloud[:, :2] - centers) ** 2, axis=1)
-    order = np.lexsort((cloud[:, 1], cloud[:, 0], distance, piece))
-    first = np.flatnonzero(np.diff(piece[order], prepend=-1))
-    return FeatureSet(cloud[order[first]], region, gap, "cloud")
+Heights: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
+"""(x, y) -> z, of one shape."""
+
+
+def linear_heights(cloud: FloatArray) -> Heights:
+    """Heights between the points of a cloud, shape (n, 3), linear on triangles; beyond them that of the nearest."""
+    inside = LinearNDInterpolator(cloud[:, :2], cloud[:, 2])
+    beyond = NearestNDInterpolator(cloud[:, :2], cloud[:, 2])
+
+    def heights(x: FloatArray, y: FloatArray) -> FloatArray:
+        z = np.asarray(inside(x, y))
+        return np.where(np.isnan(z), beyond(x, y), z)
+
+    return heights
+
+
+def lattice(heights: Heights, gap: float, region: Region) -> FeatureSet:
+    """The heights at the centres of the pieces that a region is evenly cut into, about `gap` wide; row by row."""
+    rows, columns = region.pieces(gap)
+    x = region.x_min + (np.arange(columns) + 0.5) * (region.width / columns)
+    y = region.y_min + (np.arange(rows) + 0.5) * (region.height / rows)
+    across, along = np.meshgrid(x, y)
+    points = np.column_stack([across.ravel(), along.ravel(), heights(across, along).ravel()])
+    return FeatureSet(points, region, gap, "lattice")
 
 
 def _finest(extract: Callable[[int], FeatureSet], points: int, budget: int, wire: WireOptions) -> FeatureSet:

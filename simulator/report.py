@@ -6,6 +6,8 @@ as infinitely bad.
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -255,6 +257,21 @@ def draw_time(rows: Sequence[Row], seconds: Sequence[float]) -> Figure:
         axes.xaxis.set_minor_formatter(NullFormatter())
         figure.legend(loc="outside right upper", handlelength=3.2)
     return figure
+
+
+def cells_csv(rows: Sequence[Row]) -> str:
+    """Every (surface, channel, line) of a campaign as CSV: median and quartiles of the NRMSE over its samples."""
+    line_of = Lines(rows)
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(["surface", "axis", "level", "line", "bytes", "samples", "failed", "median", "low", "high"])
+    for (surface, axis, level), of in group(rows, _place).items():
+        for line, its in group(of, line_of).items():
+            spread = Spread.of([row["nrmse"] for row in its])
+            errors = [f"{value:.4g}" for value in (spread.median, spread.low, spread.high)]
+            size = f"{_median(its, 'bytes'):.0f}"
+            writer.writerow([surface, axis, level, line, size, spread.count, spread.failed, *errors])
+    return out.getvalue()
 
 
 # Who wins where

@@ -64,7 +64,8 @@ def run_campaign(
     """Run what the journal in `out` does not hold, then write the table, the times and the report.
 
     ``journal.jsonl`` finished trials; ``table.csv`` (and ``table.parquet`` where pyarrow is installed) the rows;
-    ``seconds.csv`` what each took; ``report.html``; ``environment.json`` what it ran on.
+    ``cells.csv`` medians and quartiles; ``seconds.csv`` what each row took; ``report.html``; ``environment.json`` what
+    it ran on.
     """
     trials = campaign.trials()
     with Journal(out / "journal.jsonl") as journal:
@@ -72,6 +73,7 @@ def run_campaign(
     rows = [row for result in results for row in result.rows]
     seconds = [value for result in results for value in result.seconds]
     (out / "table.csv").write_text(to_csv(rows), "utf-8")
+    (out / "cells.csv").write_text(report.cells_csv(rows), "utf-8")
     if find_spec("pyarrow") is not None:
         write_parquet(rows, out / "table.parquet")
     (out / "seconds.csv").write_text("".join(["seconds\n", *(f"{value:.6f}\n" for value in seconds)]), "utf-8")

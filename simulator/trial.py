@@ -16,7 +16,6 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Protocol
 
 import numpy as np
-from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from common.channel import Channel
 from common.errors import ConflictError, LimitError, NotReadyError, ParameterError, SurfacelinkError
@@ -27,7 +26,7 @@ from sender.features import merge_repeated
 from sender.readers import read_points
 from sender.surfaces import GriddedSurface, find_surface
 from simulator.campaign import CodecSettings, FeatureSettings, SurfaceChoice, Trial
-from simulator.choice import choose_features
+from simulator.choice import choose_features, linear_heights
 from simulator.codecs import Message, Sandbox, best
 from simulator.codecs.protection import find_protection
 from simulator.codecs.survival import expose
@@ -134,10 +133,7 @@ def _source(choice: SurfaceChoice) -> Source:
 
     def truth(shape: tuple[int, int]) -> HeightGrid:
         x, y = region.axes(shape)
-        at = np.stack(np.meshgrid(x, y), axis=-1)
-        z = LinearNDInterpolator(cloud[:, :2], cloud[:, 2])(at)
-        beyond = np.isnan(z)
-        z[beyond] = NearestNDInterpolator(cloud[:, :2], cloud[:, 2])(at[beyond])
+        z = linear_heights(cloud)(*np.meshgrid(x, y))
         return HeightGrid(x, y, z)
 
     def sample(rng: np.random.Generator, n: int) -> FloatArray:

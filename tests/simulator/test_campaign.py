@@ -11,7 +11,7 @@ import pytest
 from common.errors import FileFormatError, ParameterError
 from common.surface import Region
 from simulator.campaign import Campaign, Trial
-from simulator.choice import central_features
+from simulator.choice import lattice, linear_heights
 from simulator.runner import Cell, Run
 from simulator.sweep import code_digest, plan_of_options, run_campaign
 from simulator.table import COLUMNS, from_csv, to_csv, write_parquet
@@ -85,6 +85,12 @@ def test_all_methods_share_one_cloud_and_one_harm() -> None:
         assert all(row == shared[0] for row in shared)
 
 
+def test_more_of_anything_keeps_the_trials_there_are() -> None:
+    base = {trial.key for trial in campaign(surfaces=["surface-1"], seeds=1).trials()}
+    levels = [{"spec": "gaussian:std={z},axes=z", "axis": "noise", "levels": [0.02, 0.05, 0.1]}]
+    assert base < {trial.key for trial in campaign(surfaces=["peaks", "surface-1"], seeds=2, channels=levels).trials()}
+
+
 def test_channels_are_compared_on_the_same_clouds() -> None:
     by_level = {row["level"]: row for row in rows_of(campaign(seeds=1)) if row["method"] == "cubic@cloud"}
     assert by_level[0.02]["nrmse"] == by_level[0.1]["nrmse"]
@@ -109,7 +115,7 @@ def test_channels_are_compared_on_the_same_clouds() -> None:
         {"methods": ["network@cloud"]},
         {"surfaces": [{"name": "surface-1", "points": 150}]},
         {"surfaces": [{"name": "surface-1", "pieces": 7}]},
-        {"features": [{"kind": "central"}]},
+        {"features": [{"kind": "lattice"}]},
     ],
     ids=str,
 )
@@ -303,7 +309,8 @@ def test_a_raster_that_cannot_be_decoded_is_a_failure() -> None:
     assert row["nrmse"] is None
 
 
-def test_central_features_are_one_point_a_piece_nearest_to_its_centre() -> None:
-    cloud = np.array([[0.1, 0.1, 1.0], [0.5, 0.45, 2.0], [1.5, 0.5, 3.0], [1.9, 0.1, 4.0]])
-    features = central_features(cloud, 1.0, Region(0, 2, 0, 1))
-    assert features.points.tolist() == [[0.5, 0.45, 2.0], [1.5, 0.5, 3.0]]
+def test_a_lattice_carries_the_heights_at_the_centres_of_the_pieces() -> None:
+    cloud = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 2.0], [0.0, 1.0, 3.0], [2.0, 1.0, 5.0]])
+    features = lattice(linear_heights(cloud), 1.0, Region(0, 2, 0, 1))
+    np.testing.assert_allclose(features.points, [[0.5, 0.5, 2.0], [1.5, 0.5, 3.0]])
+    assert features.kind == "lattice"

@@ -140,3 +140,8 @@ def test_data_in_a_page_cannot_end_its_script() -> None:
 def test_tables_escape_text_and_pages_name_their_language() -> None:
     assert "&lt;b&gt;" in table(["<b>"], [["<b>"]])
     assert '<html lang="en">' in page("t", "")
+
+
+def test_the_cells_are_medians_and_quartiles_over_the_samples() -> None:
+    lines = report.cells_csv([row(method="network", level=0.1, sample=k, nrmse=n) for k, n in enumerate((1, 2, 9))])
+    assert lines.splitlines()[1] == "peaks,noise,0.1,network,300,3,0,2,1,9"
