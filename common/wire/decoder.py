@@ -17,11 +17,7 @@ from common.wire import inner
 from common.wire.framing import CODED_EXTENSION, EXTENSION, MIN_PAYLOAD
 from common.wire.gaps import Gaps
 from common.wire.header import Header
-from common.wire.limits import (
-    FALSE_START_GRACE,
-    MAX_BODY,
-    MAX_FALSE_STARTS,
-)
+from common.wire.limits import FALSE_START_GRACE, MAX_BODY, MAX_COPIES, MAX_FALSE_STARTS
 from common.wire.numbers import Reader
 from common.wire.packet import CRC_BYTES, NO_POINTS, Packet
 from common.wire.points import check_block, decode_packets
@@ -38,10 +34,7 @@ class _Found(NamedTuple):
     header: Header
     number: int
     block: bytes
-
-    @property
-    def has_points(self) -> bool:
-        return self.number % self.header.period < self.header.total
+    has_points: bool
 
 
 class PacketDecoder:
@@ -62,6 +55,7 @@ class PacketDecoder:
         self._malformed = 0
         self._longest = 0
         self._corrected = 0
+        self._last_length = -1
         self._last: tuple[bytes, bytes, Header] | None = None
 
     @property
@@ -168,28 +162,35 @@ class PacketDecoder:
             self._malformed += 1
 
     def _parse(self, payload: bytes) -> _Found:
-        lead, reader = payload[:2], Reader(payload, 2)
-        number = reader.varint()
-        begin = reader.position
+        lead, number, begin = payload[:2], payload[2], 3
+        if number > 0x7F:
+            reader = Reader(payload, 2)
+            number, begin = reader.varint(), reader.position
         # Packets of one transmission repeat the header to the byte: it is parsed once.
         if self._last and self._last[0] == lead and payload.startswith(self._last[1], begin):
             header, start = self._last[2], begin + len(self._last[1])
         else:
+            reader = Reader(payload, begin)
             header = Header.parse(lead, reader)
             start = reader.position
             self._last = (lead, payload[begin:start], header)
-        header.check_number(number)
-        found = _Found(header, number, payload[start:])
-        if found.has_points:
+            self._last_length = -1
+        period = header.period
+        if number >= MAX_COPIES * period:
+            raise PacketError(f"a packet has the number {number} of {period} in at most {MAX_COPIES} copies")
+        found = _Found(header, number, payload[start:], number % period < header.total)
+        # All that a block is checked for here is its length.
+        if found.has_points and len(found.block) != self._last_length:
             check_block(header, found.block)
+            self._last_length = len(found.block)
         return found
 
     def _decode(self, run: Sequence[_Found]) -> list[Packet]:
         """Packets that share one header object, decoded at once."""
         header = run[0].header
         if not run[0].has_points:
-            return [Packet(header, number, NO_POINTS, block) for _, number, block in run]
-        packets = decode_packets(header, [(number, block) for _, number, block in run])
+            return [Packet(header, found.number, NO_POINTS, found.block) for found in run]
+        packets = decode_packets(header, [(found.number, found.block) for found in run])
         self._malformed += len(run) - len(packets)
         return packets
 

@@ -43,6 +43,9 @@ The error of a position, uniform over a step, then has a deviation below 1/1700 
 1/1700 of what it differs from its neighbour's.
 """
 
+SMALLEST_EXTENT = 1e-300
+"""Points that are nearer to each other are not ordered along the curve: their distances would overflow its scale."""
+
 MAX_EXTENSION = 2.0
 """How far beyond the region, in sides of it, positions stay quantised: beyond, the step would coarsen for all."""
 
@@ -89,7 +92,7 @@ def protect_blocks(header: Header, blocks: Sequence[bytes], options: WireOptions
     """The datagrams: parity, copies and the inner code added to `blocks` as the options say."""
     parity = parity_blocks(blocks, header.parity) if header.parity else []
     payloads = write_payloads(header, [*blocks, *parity] * options.copies)
-    return inner.protect(payloads, options.inner) if options.inner else [frame(payload) for payload in payloads]
+    return inner.protect(payloads, options.inner) if options.inner else frame(payloads)
 
 
 class _Plan:
@@ -197,7 +200,8 @@ def _sides(region: Region) -> tuple[tuple[float, float], tuple[float, float]]:
 
 def _boxes(features: FeatureSet) -> tuple[Interval | None, Interval | None, Interval] | None:
     """Boxes of x, y (None: the region) and z; None where quantising would lose what was asked for."""
-    least, greatest = features.points.min(axis=0).tolist(), features.points.max(axis=0).tolist()
+    # Column by column: a reduction along the long axis takes several times as long.
+    least, greatest = ([float(reduce(column)) for column in features.points.T] for reduce in (np.min, np.max))
     z = Interval.covering(least[2], greatest[2])
     if z is None:
         return None
@@ -222,18 +226,25 @@ def _position_bits(n: int) -> int:
 
 
 def _along_curve(features: FeatureSet) -> IntArray:
-    """The order of the points along a Morton curve over their bounding box; ties by their coordinates."""
+    """The order of the points along a Morton curve over their bounding box."""
     codes = morton(features.xy)
-    order: IntArray = np.argsort(codes, kind="stable")
-    return order
+    # Two stable sorts of 16 bits each are radix sorts, four times as fast as one of 32.
+    low = np.argsort((codes & 0xFFFF).astype(np.uint16), kind="stable")
+    return low[np.argsort((codes >> 16).astype(np.uint16)[low], kind="stable")]
 
 
 def morton(xy: FloatArray) -> IntArray:
     """The place of (n, 2) positions on a Morton curve of 2^16 x 2^16 cells over their bounding box."""
-    low = xy.min(axis=0)
-    extent = np.maximum(xy.max(axis=0) - low, np.finfo(np.float64).tiny)
-    cells = ((xy - low) / extent * 65535).astype(np.uint64)
+    return _interleaved(xy[:, 1]) << 1 | _interleaved(xy[:, 0])
+
+
+def _interleaved(values: FloatArray) -> IntArray:
+    """The values in 16 bits over their range, with a zero before each bit."""
+    halves = values * 0.5  # the range of doubles may exceed a double, that of their halves does not
+    low = float(halves.min())
+    extent = float(halves.max()) - low
+    scale = 65535 / extent if extent > SMALLEST_EXTENT else 0.0
+    bits = ((halves - low) * scale).astype(np.int64)
     for shift, mask in ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
-        cells = (cells | cells << np.uint64(shift)) & np.uint64(mask)
-    codes: IntArray = (cells[:, 1] << np.uint64(1) | cells[:, 0]).astype(np.int64)
-    return codes
+        bits = (bits | bits << shift) & mask
+    return bits

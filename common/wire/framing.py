@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import msgpack
 
 from common.errors import LimitError, PacketError, WireError
@@ -25,12 +27,14 @@ MIN_PAYLOAD = 17
 MAX_PAYLOAD = 0xFFFF
 
 
-def frame(payload: bytes, extension: int = EXTENSION) -> bytes:
-    """The datagram that carries `payload`; raises PacketError where it is too short or too long."""
-    if not MIN_PAYLOAD <= len(payload) <= MAX_PAYLOAD:
-        raise PacketError(f"a packet of {len(payload)} bytes; accepted are {MIN_PAYLOAD} to {MAX_PAYLOAD}")
-    packed: bytes = msgpack.packb(msgpack.ExtType(extension, payload))
-    return packed
+def frame(payloads: Iterable[bytes], extension: int = EXTENSION) -> list[bytes]:
+    """The datagrams that carry `payloads`; raises PacketError where one is too short or too long."""
+    packer, datagrams = msgpack.Packer(), []
+    for payload in payloads:
+        if not MIN_PAYLOAD <= len(payload) <= MAX_PAYLOAD:
+            raise PacketError(f"a packet of {len(payload)} bytes; accepted are {MIN_PAYLOAD} to {MAX_PAYLOAD}")
+        datagrams.append(packer.pack_ext_type(extension, payload))
+    return datagrams
 
 
 def framing_bytes(datagram: int) -> int:

@@ -12,7 +12,7 @@ from enum import IntEnum
 from common.errors import LimitError, PacketError, ParameterError, VersionError
 from common.surface import FEATURE_KINDS, UNITS, FeatureKind, Region, Units
 from common.wire.cells import Cells
-from common.wire.limits import MAX_BITS, MAX_CELLS_A_SIDE, MAX_CELLS_PER_PACKET, MAX_COPIES, MAX_PACKETS, MIN_BITS
+from common.wire.limits import MAX_BITS, MAX_CELLS_A_SIDE, MAX_CELLS_PER_PACKET, MAX_PACKETS, MIN_BITS
 from common.wire.numbers import Interval, Reader, write_real, write_varint
 
 VERSION = 1
@@ -204,11 +204,6 @@ class Header:
             _require_few(grid, total)
         kind = FEATURE_KINDS[flags & _KIND]
         return cls(tag, total, region, form, gap, kind, units, parity, grid, bool(flags & _ALTERED))
-
-    def check_number(self, number: int) -> None:
-        """PacketError unless `number` can be a datagram of this transmission."""
-        if number >= MAX_COPIES * self.period:
-            raise PacketError(f"a packet has the number {number} of {self.period} in at most {MAX_COPIES} copies")
 
 
 def _write_grid(grid: Grid) -> bytes:

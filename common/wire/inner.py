@@ -45,11 +45,9 @@ def protect(payloads: Sequence[bytes], strength: int) -> list[bytes]:
     size = longest
     while _capacity(size, strength) < longest:
         size += 1
-    data = bytearray()
-    for payload in payloads:
-        body = bytes([strength]) + len(payload).to_bytes(2, "big") + payload
-        data += frame(body.ljust(size - framing_bytes(size), b"\0"), CODED_EXTENSION)
-    array = np.frombuffer(bytes(data), dtype=np.uint8).reshape(len(payloads), size).copy()
+    bodies = (bytes([strength]) + len(payload).to_bytes(2, "big") + payload for payload in payloads)
+    datagrams = frame((body.ljust(size - framing_bytes(size), b"\0") for body in bodies), CODED_EXTENSION)
+    array = np.frombuffer(b"".join(datagrams), dtype=np.uint8).reshape(len(payloads), size).copy()
     words, depth = _words(array, strength), _depth(size)
     parity = encode(words[:, :-strength], strength)
     _tail(array, strength)[:] = _interleave(parity, depth)
@@ -95,9 +93,8 @@ def end_of(datagram: memoryview) -> int:
 
 def prefix(shape: Shape) -> bytes:
     """The bytes that all coded datagrams of a shape begin with."""
-    return frame(bytes([shape.strength]).ljust(shape.size - framing_bytes(shape.size), b"\0"), CODED_EXTENSION)[
-        : framing_bytes(shape.size) + 1
-    ]
+    body = bytes([shape.strength]).ljust(shape.size - framing_bytes(shape.size), b"\0")
+    return frame([body], CODED_EXTENSION)[0][: framing_bytes(shape.size) + 1]
 
 
 def shapes_of_size(size: int) -> list[Shape]:

@@ -34,6 +34,10 @@ def write_varint(value: int) -> bytes:
     >>> write_varint(300).hex()
     'ac02'
     """
+    if value < 0x80:
+        return bytes((value,))
+    if value < 0x4000:
+        return bytes((value & 0x7F | 0x80, value >> 7))
     out = bytearray()
     while value > 0x7F:
         out.append(value & 0x7F | 0x80)

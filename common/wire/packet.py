@@ -101,7 +101,7 @@ def write_payloads(header: Header, blocks: Sequence[bytes], start: int = 0) -> l
 
 def write_datagrams(header: Header, blocks: Sequence[bytes], start: int = 0) -> list[bytes]:
     """The datagrams, without an inner code, of the packets numbered from `start` that carry `blocks`."""
-    return [frame(payload) for payload in write_payloads(header, blocks, start)]
+    return frame(write_payloads(header, blocks, start))
 
 
 def repack(packet: Packet, points: npt.ArrayLike) -> bytes:

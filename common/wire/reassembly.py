@@ -59,8 +59,9 @@ class Reassembly:
             # What was altered no longer says how the points were written.
             if header.altered:
                 self._header = packet.header
-        store = self._parity if packet.is_parity else self._arrived
-        known = store.get(packet.sequence)
+        sequence = packet.sequence
+        store = self._arrived if sequence < packet.header.total else self._parity
+        known = store.get(sequence)
         if known is None or _rank(packet) < _rank(known):
             points = self._points + len(packet.points) - (len(known.points) if known else 0)
             if points > MAX_POINTS:
@@ -70,9 +71,9 @@ class Reassembly:
             if _rank(known) <= _rank(packet):
                 return "duplicate"
         self._points = points
-        store[packet.sequence] = packet
+        store[sequence] = packet
         if packet.header.parity:
-            self._unsettled.add(packet.sequence)
+            self._unsettled.add(sequence)
         return "new" if known is None else "duplicate"
 
     @property

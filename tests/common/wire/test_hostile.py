@@ -50,7 +50,7 @@ def wrong_total() -> bytes:
             bytes.fromhex("1001") + bytes([0]) + i.to_bytes(3, "big") + bytes.fromhex("808010") + b"\x3f\x41\x3f\x41"
         )
         payload += bytes(24)
-        datagrams.append(frame(payload + zlib.crc32(payload).to_bytes(4, "big")))
+        datagrams.append(frame([payload + zlib.crc32(payload).to_bytes(4, "big")])[0])
     return b"".join(datagrams)
 
 
@@ -157,7 +157,7 @@ def test_any_payload_with_a_right_checksum_yields_a_packet_or_our_error(data: st
     payload = head + region + data.draw(st.binary(min_size=10, max_size=120))
     decoder = PacketDecoder()
     try:
-        packets = decoder.feed(frame(payload + zlib.crc32(payload).to_bytes(4, "big"))) + decoder.close()
+        packets = decoder.feed(frame([payload + zlib.crc32(payload).to_bytes(4, "big")])[0]) + decoder.close()
         assert len(packets) + decoder.damaged == 1
         for packet in packets:
             assert np.all(np.isfinite(packet.points))
