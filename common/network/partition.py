@@ -58,7 +58,7 @@ QUERIES = 256
 """Most scattered positions that a patch evaluates at once."""
 
 FEW, MORE = 16, 96
-"""Patches that sort the kernels out, and patches that choose among the likely ones."""
+"""Patches that sort the kernels out, and most patches that choose among the likely ones; a quarter of all is enough."""
 
 LIKELY = 4
 """Kernels that more patches choose from."""
@@ -252,7 +252,7 @@ class Partition:
             return kernels[0], float(smoothings[0])
         usual = np.flatnonzero((counts >= min(40, counts.max())) & (counts <= 4 * np.median(counts)))
         drawn = np.random.default_rng(0).permutation(usual if len(usual) else np.arange(len(self)))
-        few, more = drawn[:FEW], drawn[FEW:MORE]
+        few, more = drawn[:FEW], drawn[FEW : max(2 * FEW, min(MORE, len(self) // 4))]
         tick("selection", 0.0)
         found = parallel(
             lambda patch: self._scores(int(patch), values, kernels, smoothings),

@@ -12,9 +12,11 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager
+from functools import cache
 from threading import Lock
 from typing import TypeVar
 
+import scipy.linalg  # noqa: F401 - loads SciPy's BLAS before the libraries are looked up
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
 Item = TypeVar("Item")
@@ -35,13 +37,19 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
+@cache
+def _controller() -> ThreadpoolController:
+    """The libraries of this process, looked up once: that takes ten times as long as setting the limit."""
+    return ThreadpoolController()
+
+
 @contextmanager
 def single_threaded_blas() -> Iterator[None]:
     """BLAS on one thread for the whole process until the last of the overlapping uses ends."""
     global _users, _limits
     with _lock:
         if _users == 0:
-            _limits = ThreadpoolController().limit(limits=1, user_api="blas")
+            _limits = _controller().limit(limits=1, user_api="blas")
         _users += 1
     try:
         yield
