@@ -317,6 +317,8 @@ def merge_repeated(X: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray
     Returns the positions (m, d), their mean values (m, k), the samples behind each (m,), the sum of squares about the
     means (k,), and the row of each sample among the m (n,).
     """
+    if not np.any(np.diff(np.sort(X[:, 0])) == 0):
+        return X, y, np.ones(len(X)), np.zeros(y.shape[1]), np.arange(len(X))
     order = np.lexsort(X.T[::-1])
     first = np.append(True, np.any(np.diff(X[order], axis=0) != 0, axis=1))
     if first.all():

@@ -12,12 +12,12 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from common.errors import TrainingError
-from common.network import greedy, robust, search
+from common.network import evaluation, greedy, robust, search
 from common.network.autoassociative import Lifted
 from common.network.expansion import Expansion
 from common.network.kernel import ladder_spreads, mean_spacing, nearest_distance
 from common.network.partition import Partition
-from common.network.selection import SMOOTHINGS, Family, Fit, Samples, families, rounding_floor
+from common.network.selection import SMOOTHINGS, Family, Fit, Samples, blend, families, rounding_floor
 from common.surface import FloatArray, IntArray
 
 Tick: TypeAlias = Callable[[str, float], None]
@@ -30,6 +30,9 @@ EXPLODED = 2.0
 
 TELLING = 10
 """Points below which nothing can be said about their noise, and the surface passes through them."""
+
+NOISY = 1e-4
+"""Smoothing from which the points are taken for noisy, in their positions, too."""
 
 BEYOND = 3.0
 """Half ranges about the middle of the values that a surface may reach between its points."""
@@ -106,7 +109,7 @@ def _none() -> IntArray:
     return np.zeros(0, dtype=np.int64)
 
 
-def _select(samples: Samples, wanted: Wanted, tick: Tick, *, quick: bool = False) -> Fit:
+def _chosen(samples: Samples, wanted: Wanted, tick: Tick, *, quick: bool = False) -> Fit:
     """Spread and smoothing, as asked or from the data, with every point a centre."""
     extent = float(np.ptp(samples.X, axis=0).max()) or 1.0
     spreads = ladder_spreads(mean_spacing(samples.X) or 1.0, 2 * extent)
@@ -122,6 +125,26 @@ def _select(samples: Samples, wanted: Wanted, tick: Tick, *, quick: bool = False
         chosen = 0.0
     smoothings = SMOOTHINGS[floor <= SMOOTHINGS] if chosen is None else np.array([max(chosen, floor)])
     return search.fit(samples, kinds, spreads, smoothings, lambda share: tick("selection", share), quick=quick)
+
+
+def _select(samples: Samples, wanted: Wanted, tick: Tick, *, quick: bool = False) -> Fit:
+    """The same, averaged with a fit that allows for noise in the positions where the points are few and noisy.
+
+    A noise of the positions moves a value by the slope times as much, so points on slopes weigh less (McHutchon and
+    Rasmussen 2011, "Gaussian process training with input noise"). Here a position's noise counts, on the mean over the
+    points, for as much as a value's; the criteria say how much of that fit is believed.
+    """
+    fit = _chosen(samples, wanted, tick, quick=quick)
+    few = TELLING <= len(samples) <= search.AVERAGED
+    if quick or not few or wanted.smoothing is not None or fit.smoothing < NOISY:
+        return fit
+    slopes = evaluation.gradient(samples.X, samples.X, fit.spreads, fit.coefficients)
+    steepness = np.sum(slopes**2, axis=(1, 2))
+    if not steepness.any():
+        return fit
+    weights = 1 / (1 + steepness / steepness.mean())
+    weights *= samples.weights / np.exp(np.mean(np.log(weights)))
+    return blend([fit, _chosen(replace(samples, weights=weights), wanted, tick)])
 
 
 def _given(samples: Samples, wanted: Wanted) -> float:
@@ -154,7 +177,7 @@ def _train_dense(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
         coefficients=fit.coefficients,
         bias=fit.bias,
         support=samples.X,
-        weights=samples.weights,
+        weights=fit.weights,
         kernel=fit.kernel,
         smoothing=fit.smoothing,
         variance=fit.variance,

@@ -31,7 +31,7 @@ MOST = 0.3
 HARMLESS = 0.02
 """Residuals below this share of the values' deviation are never suspected."""
 
-ROUNDS = 6
+ROUNDS = 10
 
 GLANCE = 5000
 """Points looked at first: where none of them is suspect, the others are not looked at."""
@@ -46,21 +46,20 @@ def set_aside(samples: Samples, fit: Fit, refit: Callable[[Samples, bool], Fit])
     kept = _kept(fit.residuals, fit.deviations)
     if kept.all() or n < 10:
         return fit, np.zeros(0, dtype=np.int64)
-    clean = fit
     rows = np.arange(n)
-    seen: set[bytes] = set()
+    agreed = kept
     for _ in range(ROUNDS):
-        if kept.all() or np.count_nonzero(~kept) > MOST * n or kept.tobytes() in seen:
-            break
-        seen.add(kept.tobytes())
         rows = np.flatnonzero(kept)
-        clean = refit(samples.take(rows), True)
-        residuals, deviations = _everywhere(samples, rows, clean)
-        now = _kept(residuals, deviations)
-        if np.array_equal(now, kept):
+        agreed = _kept(*_everywhere(samples, rows, refit(samples.take(rows), True)))
+        # While wrong points are left the network is not to be asked which ones may come back.
+        left = kept & agreed
+        if np.array_equal(left, kept) or np.count_nonzero(~left) > MOST * n:
             break
-        kept = now
+        kept = left
+    rows = np.flatnonzero(kept | agreed)
     out = np.setdiff1d(np.arange(n), rows)
+    if not len(out):
+        return fit, out
     clean = refit(samples.take(rows), False)
     cost = np.log(2 * np.ptp(samples.y, axis=0)).sum() + np.log((1 - SHARE) / SHARE)
     if _likelihood(clean) + len(out) * cost >= _likelihood(fit):
@@ -127,7 +126,7 @@ def _everywhere(samples: Samples, rows: IntArray, fit: Fit) -> tuple[FloatArray,
     residuals[rows], deviations[rows] = fit.residuals, fit.deviations
     values = evaluation.evaluate(samples.X[out], samples.X[rows], fit.spreads, fit.coefficients) + fit.bias
     residuals[out] = samples.y[out] - values
-    dense = Dense(fit.kernel.gram(samples.X[rows]), samples.weights[rows], fit.smoothing)
+    dense = Dense(fit.kernel.gram(samples.X[rows]), fit.weights, fit.smoothing)
     variance = dense.posterior_variance(fit.kernel.gram(samples.X[rows], samples.X[out]))
     deviations[out] = np.sqrt(fit.variance * (variance + fit.smoothing / samples.weights[out]))
     return residuals, deviations

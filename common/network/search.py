@@ -103,7 +103,9 @@ class _Search:
         scored = Scored(candidates, *(np.array([self.tried[c][i] for c in candidates]) for i in range(3)))
         parts = [(c, share) for c, share in zip(candidates, scored.shares.tolist(), strict=True) if share]
         solutions = [self.tried[c][3].scaled(share) for c, share in parts]
-        return combine(scored, [c.kernel(self.spreads) for c, _ in parts], solutions, self.spreads)
+        return combine(
+            scored, [c.kernel(self.spreads) for c, _ in parts], solutions, self.spreads, self.samples.weights
+        )
 
 
 def _starts(ranked: Scored) -> list[Candidate]:

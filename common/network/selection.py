@@ -23,7 +23,7 @@ network again: coefficients per spread add up. docs/network.md has the table beh
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -299,6 +299,7 @@ def average(
         [kernels[i] for i in used],
         [spectra[i // batch].solve(i % batch, smoothings, by_kind[i]) for i in used],
         spreads,
+        samples.weights,
     )
 
 
@@ -328,6 +329,8 @@ class Fit:
         Values less what the network says without them.
     deviations : ndarray, shape (n,)
         Standard deviations that the residuals should have.
+    weights : ndarray, shape (n,)
+        Of the points, as the best candidate has them.
     """
 
     scored: Scored
@@ -339,29 +342,64 @@ class Fit:
     variance: float
     residuals: FloatArray
     deviations: FloatArray
+    weights: FloatArray
 
 
-def combine(scored: Scored, kernels: Sequence[Kernel], solutions: Sequence[Solution], ladder: FloatArray) -> Fit:
+def combine(
+    scored: Scored, kernels: Sequence[Kernel], solutions: Sequence[Solution], ladder: FloatArray, weights: FloatArray
+) -> Fit:
     """Add up solutions that carry their shares already; the coefficients per spread add up."""
-    levels: dict[float, FloatArray] = {}
-    for kernel, solution in zip(kernels, solutions, strict=True):
-        for spread, amplitude in zip(kernel.spreads.tolist(), kernel.amplitudes.tolist(), strict=True):
-            part = amplitude * solution.coefficients
-            levels[spread] = levels[spread] + part if spread in levels else part
-    spreads = sorted(levels, reverse=True)
-    best = int(np.argmin(scored.scores))
-    variance = float(scored.variances[best])
+    parts = [
+        (spread, amplitude * solution.coefficients)
+        for kernel, solution in zip(kernels, solutions, strict=True)
+        for spread, amplitude in zip(kernel.spreads.tolist(), kernel.amplitudes.tolist(), strict=True)
+    ]
+    spreads, coefficients = _summed(parts)
+    variance = float(scored.variances[int(np.argmin(scored.scores))])
     return Fit(
         scored=scored,
-        spreads=np.array(spreads),
-        coefficients=np.array([levels[s] for s in spreads]),
+        spreads=spreads,
+        coefficients=coefficients,
         bias=np.sum([s.bias for s in solutions], axis=0),
         kernel=scored.best.kernel(ladder),
         smoothing=scored.best.smoothing,
         variance=variance,
         residuals=np.sum([s.residuals for s in solutions], axis=0),
         deviations=np.sqrt(variance * np.sum([s.spread for s in solutions], axis=0)),
+        weights=weights,
     )
+
+
+def blend(fits: Sequence[Fit]) -> Fit:
+    """The average of several fits of the same points, each with the share that its best candidate has."""
+    ordered = sorted(fits, key=lambda fit: float(fit.scored.scores.min()))
+    best = ordered[0]
+    shares = np.exp([best.scored.scores.min() - fit.scored.scores.min() for fit in ordered])
+    shares /= shares.sum()
+    weighed = list(zip(shares.tolist(), ordered, strict=True))
+    spreads, coefficients = _summed(
+        [
+            (spread, share * c)
+            for share, fit in weighed
+            for spread, c in zip(fit.spreads.tolist(), fit.coefficients, strict=True)
+        ]
+    )
+    return replace(
+        best,
+        spreads=spreads,
+        coefficients=coefficients,
+        bias=np.sum([share * fit.bias for share, fit in weighed], axis=0),
+        residuals=np.sum([share * fit.residuals for share, fit in weighed], axis=0),
+    )
+
+
+def _summed(parts: Sequence[tuple[float, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+    """Spreads (levels,), descending, and the sum of the coefficients (n, k) of each."""
+    levels: dict[float, FloatArray] = {}
+    for spread, c in parts:
+        levels[spread] = levels[spread] + c if spread in levels else c
+    spreads = sorted(levels, reverse=True)
+    return np.array(spreads), np.array([levels[spread] for spread in spreads])
 
 
 _BATCH = 2_000_000

@@ -128,6 +128,22 @@ def test_wrong_points_are_set_aside_and_named(n: int) -> None:
     assert error(network) < 1.5 * error(RBFNetwork().fit(X, y))
 
 
+def test_noise_of_the_positions_costs_less_than_ignoring_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    errors = []
+    for blind in (False, True):
+        monkeypatch.setattr(fitting_module, "NOISY", np.inf if blind else 1e-4)
+        total = 0.0
+        for seed in range(12):
+            X, _ = cloud(60, seed)
+            rng = np.random.default_rng(seed)
+            # A plateau and a cliff: noise of the positions shows on the cliff alone.
+            cliff = np.tanh(2 * X[:, 0])
+            network = RBFNetwork().fit(X + 0.2 * rng.normal(size=X.shape), cliff)
+            total += float(np.mean((network.predict(QUERIES) - np.tanh(2 * QUERIES[:, 0])) ** 2))
+        errors.append(total)
+    assert errors[0] < errors[1]
+
+
 def test_a_narrow_peak_is_no_outlier() -> None:
     X, y = cloud(200)
     peak = y + 3 * np.exp(-np.sum((X - 0.3) ** 2, axis=1) / 0.4)
