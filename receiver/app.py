@@ -373,10 +373,11 @@ def _page(request: Request, name: str) -> HTMLResponse:
 def _neurons(model: SurfaceModel) -> dict[str, FloatArray]:
     """Centres x, y (and z, where points are mapped to points), then their coefficients.
 
-    There is a column of coefficients for each spread, the greatest first, and for each output.
+    There is a column of coefficients for each spread, the greatest first, and for each output. The patches of a large
+    network share the amplitudes of their spreads: they have one column, the centres of each patch in turn.
     """
     network = model.network
-    single = np.ndim(network.spread_) == 0
+    single = np.ndim(network.spread_) == 0 or network.patches_ > 1
     levels = network.coefficients_[None] if single else network.coefficients_
     outputs = levels[:, :, None] if levels.ndim == 2 else levels
     columns = dict(zip("xyz", network.centers_.T, strict=False))

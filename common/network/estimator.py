@@ -73,6 +73,8 @@ class RBFNetwork(Conventions):
         Greatest error at the points after each round of chosen centres.
     stop_reason_ : str
         Why no more centres were added.
+    patches_ : int
+        Networks that are blended: 1, or those of a partition of unity.
     outliers_ : ndarray of int
         Rows of X that were set aside.
     notes_ : tuple of str
@@ -87,6 +89,7 @@ class RBFNetwork(Conventions):
     history_: FloatArray
     stop_reason_: str
     outliers_: IntArray
+    patches_: int
     notes_: tuple[str, ...]
     n_features_in_: int
 
@@ -177,6 +180,7 @@ class RBFNetwork(Conventions):
     def _describe(self) -> None:
         """The learned attributes that follow from the network, in the caller's units."""
         network, scales = self._network, self._scales
+        self.patches_ = len(network.spacings) if isinstance(network, Partition) else 1
         if isinstance(network, Lifted):
             units = np.append(np.full(self.n_features_in_, scales.unit), scales.height)
             origins = np.append(scales.origin, scales.level)

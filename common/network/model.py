@@ -80,6 +80,7 @@ class SurfaceModel:
         network = self.network
         return {
             "centers": len(network.centers_),
+            "patches": network.patches_,
             "spread": np.asarray(network.spread_).tolist(),
             "smoothing": network.smoothing_,
             "mapping": network.mapping,

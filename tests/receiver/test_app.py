@@ -528,3 +528,14 @@ async def test_the_event_loop_turns_while_a_large_training_runs(client: Client) 
         answered += 1
     # A loop that the training blocks answers one request before it and the next after it.
     assert answered >= 10
+
+
+async def test_a_network_of_many_points_is_a_table_too(client: Client) -> None:
+    x, y = np.random.default_rng(0).uniform(-1, 1, (2, 5000))
+    many = FeatureSet(np.column_stack([x, y, np.sin(3 * x) + y]), Region(-1, 1, -1, 1))
+    await client.transmit("many", b"".join(packets_of(many, "many")))
+    surface = (await client.get("/v1/surfaces/many", params={"wait": 60})).json()
+    assert surface["network"]["patches"] > 1
+    answer = await client.get("/v1/surfaces/many/network", params={"f": "npy"})
+    table = np.load(io.BytesIO(answer.content))
+    assert table.shape == (surface["network"]["centers"], 3)
