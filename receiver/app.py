@@ -380,7 +380,7 @@ def _neurons(model: SurfaceModel) -> dict[str, FloatArray]:
     single = np.ndim(network.spread_) == 0 or network.patches_ > 1
     levels = network.coefficients_[None] if single else network.coefficients_
     outputs = levels[:, :, None] if levels.ndim == 2 else levels
-    columns = dict(zip("xyz", network.centers_.T, strict=False))
+    columns = dict(zip("xyz", network.centers_[network.members_].T, strict=False))
     for level, coefficients in enumerate(outputs):
         for axis, values in zip("xyz", coefficients.T, strict=False):
             number = "" if single else f"_{level}"

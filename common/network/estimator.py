@@ -75,6 +75,8 @@ class RBFNetwork(Conventions):
         Why no more centres were added.
     patches_ : int
         Networks that are blended: 1, or those of a partition of unity.
+    members_ : ndarray of int
+        Row of `centers_` that each coefficient belongs to; the patches of a partition share centres.
     outliers_ : ndarray of int
         Rows of X that were set aside.
     notes_ : tuple of str
@@ -90,6 +92,7 @@ class RBFNetwork(Conventions):
     stop_reason_: str
     outliers_: IntArray
     patches_: int
+    members_: IntArray
     notes_: tuple[str, ...]
     n_features_in_: int
 
@@ -180,7 +183,9 @@ class RBFNetwork(Conventions):
     def _describe(self) -> None:
         """The learned attributes that follow from the network, in the caller's units."""
         network, scales = self._network, self._scales
-        self.patches_ = len(network.spacings) if isinstance(network, Partition) else 1
+        self.patches_, self.members_ = 1, np.arange(len(network.centers))
+        if isinstance(network, Partition):
+            self.patches_, self.members_ = len(network.spacings), network.members
         if isinstance(network, Lifted):
             units = np.append(np.full(self.n_features_in_, scales.unit), scales.height)
             origins = np.append(scales.origin, scales.level)
