@@ -110,6 +110,8 @@ class Source:
     noise: float
     points: int
     gap: float | None
+    nodes: int | None
+    """Points there are in all; None where there is no end to them."""
     truth: Callable[[tuple[int, int]], HeightGrid]
     sample: Callable[[np.random.Generator, int], FloatArray]
 
@@ -127,7 +129,8 @@ def _source(choice: SurfaceChoice) -> Source:
         return _field_source(choice.field)
     if choice.file is None:
         surface = find_surface(str(choice.name))
-        return Source(surface.region, surface.noise, surface.points, surface.gap, surface.grid, surface.sample)
+        nodes = surface.points if isinstance(surface, GriddedSurface) else None
+        return Source(surface.region, surface.noise, surface.points, surface.gap, nodes, surface.grid, surface.sample)
     cloud = merge_repeated(read_points(choice.file, choice.columns), "mean")
     region = Region.of(cloud)
 
@@ -141,7 +144,7 @@ def _source(choice: SurfaceChoice) -> Source:
             raise ParameterError(f"{choice.label} holds {len(cloud)} points; {n} were asked for")
         return as_points(cloud[rng.permutation(len(cloud))[:n]])
 
-    return Source(region, FILE_NOISE * float(np.ptp(cloud[:, 2])), len(cloud), None, truth, sample)
+    return Source(region, FILE_NOISE * float(np.ptp(cloud[:, 2])), len(cloud), None, len(cloud), truth, sample)
 
 
 def _field_source(name: str) -> Source:
@@ -149,7 +152,7 @@ def _field_source(name: str) -> Source:
     nodes = field(name)
     cloud = nodes.points()
     surface = GriddedSurface(name, name, lambda: nodes, pieces=1)
-    return Source(surface.region, surface.noise, len(cloud), None, surface.grid, surface.sample)
+    return Source(surface.region, surface.noise, len(cloud), None, len(cloud), surface.grid, surface.sample)
 
 
 @lru_cache(maxsize=64)
@@ -275,8 +278,11 @@ def _reconstructions(
     transport: Transport,
     clock: Callable[[], float],
 ) -> Iterator[tuple[Row, float]]:
-    # What is sent depends neither on the channel nor on the methods: a sweep over channels chooses it once.
-    sent = _features(trial.surface, trial.features, trial.wire, trial.seed, trial.sample)
+    # What is sent depends neither on the channel nor on the methods: a sweep over channels chooses it once. A cloud of
+    # all the points there are is the same in every sample.
+    source = source_of(trial.surface)
+    everything = source.nodes is not None and (trial.features.points or source.points) == source.nodes
+    sent = _features(trial.surface, trial.features, trial.wire, trial.seed, 0 if everything else trial.sample)
     arrived = transport(
         sent,
         transmission=str(common["transmission"]),
