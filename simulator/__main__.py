@@ -22,6 +22,7 @@ from sender.surfaces import find_surface
 from simulator.demo import DEMO_SURFACES, Trial, run_demo, steps, write_pictures
 from simulator.paper import paper_command
 from simulator.proxy import create_proxy
+from simulator.rivals import rivals_command
 from simulator.services import Services, running
 from simulator.sweep import sweep_command
 
@@ -133,6 +134,7 @@ def _leave_running(services: Services, trials: list[Trial]) -> None:
 
 app.command("paper")(paper_command)
 app.command("sweep")(sweep_command)
+app.command("rivals")(rivals_command)
 
 
 @app.command()

@@ -19,8 +19,9 @@ import importlib.util
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -113,11 +114,17 @@ def _spans_plane(xy: FloatArray) -> bool:
     return len(xy) >= 3 and bool(np.linalg.svd(xy - xy.mean(axis=0), compute_uv=False)[1] > 1e-6)
 
 
-def _network(points: FloatArray, x: FloatArray, y: FloatArray, _: np.random.Generator) -> FloatArray:
+def _network(
+    points: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    _: np.random.Generator,
+    mapping: Literal["height", "autoassociative"] = "height",
+) -> FloatArray:
     """Our network, spread and smoothing from the data."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NetworkWarning)  # its notes, which nobody could read here
-        fitted = RBFNetwork().fit(points[:, :2], points[:, 2])
+        fitted = RBFNetwork(mapping=mapping).fit(points[:, :2], points[:, 2])
     return np.asarray(fitted.predict_grid(x, y))
 
 
@@ -213,6 +220,13 @@ _ALL = (
         "Hoppe, DeRose, Duchamp, McDonald and Stuetzle 1992",
         local.principal_component,
         plane=True,
+    ),
+    Baseline(
+        "autoassociative",
+        "our network as the paper draws it: a point onto the surface",
+        "Khanna, Rajpal, Dureja and Arora (the paper): three inputs, three outputs",
+        partial(_network, mapping="autoassociative"),
+        raw=True,
     ),
     Baseline("network", "our network, spread and smoothing from the data", "this project", _network, raw=True),
 )

@@ -1,0 +1,71 @@
+"""Features and codecs meet the same channels at the same bytes; the page says who is closest."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pytest
+
+from common.errors import ParameterError
+from sender.surfaces import find_surface
+from simulator import rivals
+from simulator.rivals import LEVELS, RIVALS, Rival, run_rivals, spreads, winners
+from simulator.statistics import Spread
+
+CONTEST = ("franke", 512, 64)
+FEW = (RIVALS[0], RIVALS[2], RIVALS[3], Rival("scattered", codec="scattered_samples"))
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few levels and a small field: what is tested is the contest, not its outcome."""
+    monkeypatch.setattr(rivals, "LEVELS", {"ber": (1e-4, 1e-2), "loss": (0.0, 0.4)})
+    monkeypatch.setattr(rivals, "field", lambda name: find_surface(name).grid((48, 48)))
+
+
+@pytest.mark.usefixtures("small")
+def test_every_rival_keeps_to_the_bytes_and_the_files_say_what_was_measured(tmp_path: Path) -> None:
+    rows = run_rivals(tmp_path, seeds=3, workers=2, contests=[CONTEST], rivals=FEW)
+    assert {row["rival"] for row in rows} == {rival.label for rival in FEW}
+    assert len(rows) == len(FEW) * (2 * 3 + 1 + 3)
+    assert all(0 < int(row["sent"] or 0) <= 512 for row in rows)
+
+    with (tmp_path / "rivals.csv").open(newline="") as file:
+        table = list(csv.DictReader(file))
+    assert [row["rival"] for row in table] == [row["rival"] for row in rows]
+    assert [float(row["nrmse"]) if row["nrmse"] else None for row in table] == [row["nrmse"] for row in rows]
+    assert (tmp_path / "rivals-franke.png").read_bytes().startswith(b"\x89PNG")
+    assert "Median NRMSE by bit-error rate" in (tmp_path / "rivals.html").read_text("utf-8")
+
+    loss = spreads(rows, "franke", "loss")
+    bare, safe = loss["lattice, network"], loss["lattice protected, network"]
+    assert bare[0.0].median < 0.002
+    assert bare[0.0].median < bare[0.4].median < 0.1  # a thinner lattice is a surface still
+    assert bare[0.4].failed == 0
+    assert spreads(rows, "franke", "ber")["lattice protected, network"][1e-2].median == safe[0.0].median
+
+
+def test_the_winner_has_the_least_median_and_failures_never_win() -> None:
+    found = {
+        "a": {0.1: Spread.of([0.1, 0.2, 0.3]), 0.2: Spread.of([None, None, 0.1])},
+        "b": {0.1: Spread.of([0.3, 0.1, 0.1]), 0.2: Spread.of([None, None, None])},
+    }
+    assert winners(found) == {0.1: "b", 0.2: ""}
+
+
+@pytest.mark.usefixtures("small")
+def test_bytes_too_few_for_a_rival_leave_it_out(tmp_path: Path) -> None:
+    rows = run_rivals(tmp_path, seeds=1, workers=1, contests=[("franke", 70, 64)], rivals=[RIVALS[3], FEW[3]])
+    assert {row["rival"] for row in rows} == {"scattered"}
+
+
+def test_a_folder_that_cannot_be_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ParameterError, match="cannot write to"):
+        run_rivals(tmp_path / "file" / "out", seeds=1, workers=1, contests=[], rivals=[])
+
+
+def test_the_labels_of_the_rivals_are_told_apart() -> None:
+    assert len({rival.label for rival in RIVALS}) == len(RIVALS) <= 8
+    assert set(LEVELS) == set(rivals.CHANNELS) == set(rivals.AXES)
