@@ -327,8 +327,11 @@ def _errors(method: Method, points: FeatureSet | None, truth: HeightGrid, rng: n
         if points is None:
             raise NotReadyError("nothing arrived")
         return _compared(truth, method.heights(points, truth, rng))
-    except SurfacelinkError as error:
-        return {"failure": f"{type(error).__name__}: {error.detail}"}
+    except (
+        SurfacelinkError,
+        np.linalg.LinAlgError,
+    ) as error:  # a method that breaks down loses its cell, not the campaign
+        return {"failure": f"{type(error).__name__}: {error}"}
 
 
 def _compared(truth: HeightGrid, z: FloatArray) -> dict[str, Cell]:

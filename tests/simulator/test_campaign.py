@@ -146,6 +146,16 @@ def test_what_never_arrives_is_a_failure_of_every_method_that_needs_it() -> None
     assert by_method["cubic@cloud"]["failure"] is None
 
 
+def test_a_method_that_breaks_down_loses_its_cell_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*given: object) -> None:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr("simulator.methods.reconstruct", broken)
+    network, linear, cubic = rows_of(campaign(surfaces=["surface-1"], channels=["clean"], seeds=1))
+    assert network["failure"] is None
+    assert linear["failure"] == cubic["failure"] == "LinAlgError: Singular matrix"
+
+
 def test_the_budget_holds_and_is_used() -> None:
     plan = campaign(surfaces=["peaks"], features=[{"budget": 700}], channels=["clean"], seeds=2, methods=["linear"])
     for row in rows_of(plan):
