@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.fft import dctn, idctn
 
+from common.errors import PacketError
 from common.surface import FloatArray
 from simulator.codecs.message import BoolArray, deflate, inflate, read_header, scaled, write_header
 from simulator.codecs.samples import Ladders
@@ -151,6 +152,10 @@ def _frequencies(shape: tuple[int, int]) -> npt.NDArray[np.int64]:
     return np.argsort((rows / shape[0]) ** 2 + (columns / shape[1]) ** 2, axis=None, kind="stable")
 
 
+DCT_FIELDS = 8
+"""Bytes of step and count, between the header and the deflated coefficients."""
+
+
 def encode_dct(z: FloatArray, setting: Setting) -> bytes:
     """A cosine transform of the whole grid, quantised, by rising frequency, deflated."""
     step, dead = setting
@@ -167,6 +172,8 @@ def encode_dct(z: FloatArray, setting: Setting) -> bytes:
 def decode_dct(data: bytes, lost: BoolArray) -> FloatArray:  # noqa: ARG001
     """The inverse, of what can be inflated."""
     shape, low, extent, rest = read_header(data)
+    if len(rest) < DCT_FIELDS:
+        raise PacketError(f"the transform's step and count take {DCT_FIELDS} bytes, {len(rest)} are left")
     step, count = float(np.frombuffer(rest[:4], "<f4")[0]), int(np.frombuffer(rest[4:8], "<u4")[0])
     size = shape[0] * shape[1]
     count = min(count, size)
