@@ -27,8 +27,9 @@ from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
+import scipy.linalg
 
-from common.errors import ParameterError
+from common.errors import ParameterError, TrainingError
 from common.network.kernel import LADDER_STEP, Kernel, level_matrices, squared_distances
 from common.surface import FloatArray, IntArray
 
@@ -142,6 +143,21 @@ def families(spreads: FloatArray, extent: float) -> list[tuple[Family, float]]:
     ]
 
 
+def _eigenbases(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Eigenvalues (c, n) and eigenvectors (c, n, n) of symmetric matrices (c, n, n); raises TrainingError."""
+    try:
+        values, vectors = np.linalg.eigh(matrices)
+    except np.linalg.LinAlgError:
+        # Divide and conquer can fail on clustered eigenvalues, of which a wide Gaussian has many; QL iteration is slower
+        # and goes on.
+        try:
+            pairs = [scipy.linalg.eigh(matrix, driver="ev") for matrix in matrices]
+        except (np.linalg.LinAlgError, ValueError) as error:
+            raise TrainingError(f"the kernel matrix of these points has no eigenvalues to be found: {error}") from error
+        values, vectors = np.stack([pair[0] for pair in pairs]), np.stack([pair[1] for pair in pairs])
+    return values, vectors
+
+
 class Spectra:
     """W^1/2 K W^1/2 of several kernels in their eigenbases: every smoothing at the cost of a product.
 
@@ -155,7 +171,7 @@ class Spectra:
     def __init__(self, grams: FloatArray, samples: Samples) -> None:
         self.samples = samples
         self.root = np.sqrt(samples.weights)
-        values, self.basis = np.linalg.eigh(grams * np.outer(self.root, self.root))
+        values, self.basis = _eigenbases(grams * np.outer(self.root, self.root))
         self.values = np.clip(values, 0, None)
         turned = np.swapaxes(self.basis, 1, 2)
         self.y = turned @ (self.root[:, None] * samples.y)

@@ -161,11 +161,11 @@ def encode_dct(z: FloatArray, setting: Setting) -> bytes:
     step, dead = setting
     coefficients = dctn(scaled(z), norm="ortho").ravel()[_frequencies(z.shape)]
     levels = (np.sign(coefficients) * np.floor(np.abs(coefficients) / step + 1 - dead)).astype(np.int64)
-    levels = np.clip(levels, -(2**15) + 1, 2**15 - 1)
+    levels = np.clip(levels, -(2**31) + 1, 2**31 - 1)
     count = int(np.flatnonzero(levels)[-1]) + 1 if np.any(levels) else 0
     folded = np.where(levels >= 0, 2 * levels, -2 * levels - 1)[:count]
     wide = folded >= 255
-    body = np.where(wide, 255, folded).astype(np.uint8).tobytes() + folded[wide].astype("<u2").tobytes()
+    body = np.where(wide, 255, folded).astype(np.uint8).tobytes() + folded[wide].astype("<u4").tobytes()
     return write_header(z) + np.float32(step).tobytes() + np.uint32(count).tobytes() + deflate(body)
 
 
@@ -177,10 +177,10 @@ def decode_dct(data: bytes, lost: BoolArray) -> FloatArray:  # noqa: ARG001
     step, count = float(np.frombuffer(rest[:4], "<f4")[0]), int(np.frombuffer(rest[4:8], "<u4")[0])
     size = shape[0] * shape[1]
     count = min(count, size)
-    body = inflate(rest[8:], 3 * count)
+    body = inflate(rest[8:], 5 * count)
     folded = np.frombuffer(body[:count], dtype=np.uint8).astype(np.int64)
     wide = np.flatnonzero(folded == 255)
-    folded[wide] = np.frombuffer(body[count : count + 2 * len(wide)], dtype="<u2")
+    folded[wide] = np.frombuffer(body[count : count + 4 * len(wide)], dtype="<u4")
     levels = np.zeros(size)
     levels[_frequencies(shape)[:count]] = np.where(folded % 2, -(folded + 1) // 2, folded // 2)
     return _heights(idctn(levels.reshape(shape) * step, norm="ortho"), low, extent)

@@ -75,7 +75,8 @@ def decode_cloud(data: bytes, lost: BoolArray) -> FloatArray:
     """Points that are in no place they could be are dropped."""
     shape, low, extent, body = read_header(data)
     size = len(body) // 12
-    records = np.frombuffer(body[: 12 * size], dtype="<f4").reshape(size, 3).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # damage can make a signalling NaN
+        records = np.frombuffer(body[: 12 * size], dtype="<f4").reshape(size, 3).astype(np.float64)
     whole = ~lost[HEADER.size :][: 12 * size].reshape(size, 12).any(axis=1)
     limits = np.array([shape[1] - 1, shape[0] - 1, 1.0])
     with np.errstate(invalid="ignore"):

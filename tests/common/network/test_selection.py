@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from common.errors import TrainingError
 from common.network.dense import Dense
 from common.network.kernel import Kernel, ladder_spreads, squared_distances
 from common.network.selection import (
@@ -13,6 +14,7 @@ from common.network.selection import (
     Candidate,
     Samples,
     Spectra,
+    _eigenbases,
     amplitudes,
     average,
     families,
@@ -152,3 +154,20 @@ def test_the_score_prefers_smoothing_only_among_noises() -> None:
 
 def test_a_candidate_of_one_spread_has_it() -> None:
     assert Candidate("single", 0.7, 0.0).kernel(np.array([1.0, 0.5])).spreads.tolist() == [0.7]
+
+
+def test_eigenvalues_are_found_where_divide_and_conquer_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    X = rng.uniform(size=(20, 2))
+    grams = np.stack([Kernel.single(spread).gram(X) for spread in (0.1, 0.5)])
+    expected, _ = _eigenbases(grams)
+
+    def fail(_matrices: object) -> None:
+        raise np.linalg.LinAlgError("Eigenvalues did not converge")
+
+    monkeypatch.setattr(np.linalg, "eigh", fail)
+    values, vectors = _eigenbases(grams)
+    np.testing.assert_allclose(values, expected, atol=1e-12)
+    np.testing.assert_allclose(vectors @ (values[:, :, None] * np.swapaxes(vectors, 1, 2)), grams, atol=1e-12)
+    with pytest.raises(TrainingError, match="no eigenvalues"):
+        _eigenbases(np.full((1, 3, 3), np.nan))
