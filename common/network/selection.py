@@ -148,8 +148,7 @@ def _eigenbases(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
     try:
         values, vectors = np.linalg.eigh(matrices)
     except np.linalg.LinAlgError:
-        # Divide and conquer can fail on clustered eigenvalues, of which a wide Gaussian has many; QL iteration is slower
-        # and goes on.
+        # Divide and conquer can fail on clustered eigenvalues, of which a wide Gaussian has many; QL iteration goes on.
         try:
             pairs = [scipy.linalg.eigh(matrix, driver="ev") for matrix in matrices]
         except (np.linalg.LinAlgError, ValueError) as error:
