@@ -188,7 +188,10 @@ def _jacksboro() -> HeightGrid:
         z = np.asarray(dem["elevation"], dtype=np.float64)[::-1]  # stored from north to south
         dy = METRES_PER_DEGREE * float(dem["dy"])
         dx = METRES_PER_DEGREE * float(dem["dx"]) * math.cos(math.radians(float(dem["ymin"])))
-    x, y = (step * np.arange(n, dtype=np.float64) for step, n in ((dx, z.shape[1]), (dy, z.shape[0])))
+    # To the centimetre: what lies beyond is no measurement, and would cost bytes in every packet.
+    x, y = (
+        np.round(round(step, 2) * np.arange(n, dtype=np.float64), 2) for step, n in ((dx, z.shape[1]), (dy, z.shape[0]))
+    )
     return HeightGrid(x, y, z, Units(xy="m", z="m"))
 
 
