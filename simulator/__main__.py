@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import tempfile
 from pathlib import Path
@@ -46,6 +47,9 @@ def demo(
     serve: Annotated[bool, typer.Option("--serve", help="Leave both services running and print curl lines.")] = False,
 ) -> None:
     """Send four surfaces over real HTTP, clean and noisy; print a table, draw a picture of each."""
+    # Either signal ends the demo with both services stopped, even where a shell has it ignored.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     names = tuple(surface or DEMO_SURFACES)
     for name in names:
         find_surface(name)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -47,6 +49,27 @@ def test_the_demo_prints_its_table_and_draws_its_picture(tmp_path: Path) -> None
     assert picture.startswith(b"\x89PNG")
     assert len(picture) > 50_000
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"surface-1.png"}, "the demo leaves data behind"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_the_demo_and_what_it_started(tmp_path: Path, number: signal.Signals) -> None:
+    command = [sys.executable, "-m", "simulator", "demo", "--surface", "surface-1", "--serve", "--out", str(tmp_path)]
+    with subprocess.Popen(
+        command, cwd=ROOT, env=os.environ | {"PYTHONUNBUFFERED": "1"}, stdout=subprocess.PIPE, text=True
+    ) as demo:
+        assert demo.stdout is not None
+        urls = []
+        for line in demo.stdout:
+            urls += re.findall(r"^(?:receiver|sender) +(http://[0-9.:]+)", line)
+            if "Ctrl-C" in line:
+                break
+        assert [httpx.get(f"{url}/health/ready").status_code for url in urls] == [200, 200]
+        demo.send_signal(number)
+        assert demo.wait(timeout=30) == 0
+    for url in urls:
+        with pytest.raises(httpx.ConnectError):
+            httpx.get(url)
+    assert {path.name for path in tmp_path.iterdir()} == {"surface-1.png"}
 
 
 def test_the_link_gives_the_same_numbers_in_process_and_over_sockets(tmp_path: Path) -> None:
