@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from common.errors import ParameterError
 from common.network.model import NetworkSettings
 from common.surface import FeatureSet, FloatArray, Region, Unit, Units
-from common.wire import Cost, WireOptions, cost, encode
+from common.wire import Cost, WireOptions, encode_with_cost
 from sender.client import ReceiverClient, Sent
 from sender.features import Extracted, Repeated, extract_features
 from sender.surfaces import find_surface
@@ -88,10 +88,8 @@ def prepare(order: Order, upload: tuple[str, Callable[[], FloatArray]] | None = 
         raise ParameterError("name a surface or give a file: one of the two")
     features = extract_features(cloud, gap=gap, kind=order.kind, region=region, repeated=order.repeated, units=units)
     transmission = order.id or transmission_id(name)
-    packets = encode(features, transmission=transmission, options=order.wire)
-    return Prepared(
-        transmission, len(cloud), features, packets, cost(features, transmission=transmission, options=order.wire)
-    )
+    packets, cost = encode_with_cost(features, transmission=transmission, options=order.wire)
+    return Prepared(transmission, len(cloud), features, packets, cost)
 
 
 def _usual_gap(cloud: FloatArray) -> float | None:

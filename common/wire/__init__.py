@@ -1,6 +1,6 @@
 """FeatureSet <-> packets <-> bytes, sans-IO. The format is specified in docs/wire.md."""
 
-from common.wire.cost import Cost, cost
+from common.wire.cost import Cost, cost, encode_with_cost
 from common.wire.decoder import PacketDecoder
 from common.wire.encoder import encode
 from common.wire.framing import MEDIA_TYPE, MEDIA_TYPES, split
@@ -20,6 +20,7 @@ __all__ = [
     "WireOptions",
     "cost",
     "encode",
+    "encode_with_cost",
     "repack",
     "split",
     "transmission_tag",

@@ -54,11 +54,21 @@ class Cost:
 
 def cost(features: FeatureSet, *, transmission: str, options: WireOptions | None = None) -> Cost:
     """The bytes that `encode` makes of the same arguments, and what each is for; raises what `encode` raises."""
+    return encode_with_cost(features, transmission=transmission, options=options)[1]
+
+
+def encode_with_cost(
+    features: FeatureSet, *, transmission: str, options: WireOptions | None = None
+) -> tuple[list[bytes], Cost]:
+    """What `encode` and `cost` give, with the points written once; raises what `encode` raises."""
     options = options or WireOptions()
     header, blocks = write_blocks(features, transmission, options)
-    once = options.model_copy(update={"copies": 1, "inner": 0})
-    sizes = [len(datagram) for datagram in protect_blocks(header, blocks, once)]
-    repeated = sum(map(len, protect_blocks(header, blocks, options.model_copy(update={"inner": 0}))))
-    sent = sum(map(len, protect_blocks(header, blocks, options)))
-    points, plain = sum(map(len, blocks)), sum(sizes[: header.total])
-    return Cost(points, plain - points, sum(sizes) - plain, repeated - sum(sizes), sent - repeated, len(features))
+    datagrams = protect_blocks(header, blocks, options)
+    repeated = once = datagrams
+    if options.inner:
+        repeated = once = protect_blocks(header, blocks, options.model_copy(update={"inner": 0}))
+    if options.copies > 1:
+        once = protect_blocks(header, blocks, options.model_copy(update={"copies": 1, "inner": 0}))
+    points, plain = sum(map(len, blocks)), sum(map(len, once[: header.total]))
+    single, several, sent = (sum(map(len, each)) for each in (once, repeated, datagrams))
+    return datagrams, Cost(points, plain - points, single - plain, several - single, sent - several, len(features))

@@ -62,16 +62,16 @@ def encode(features: FeatureSet, *, transmission: str, options: WireOptions | No
     Raises LimitError for more points or packets than are accepted, ParameterError where not one point fits a datagram.
     """
     options = options or WireOptions()
-    if len(features) > MAX_POINTS:
-        raise LimitError(f"{len(features)} points; a transmission carries at most {MAX_POINTS}")
     return protect_blocks(*write_blocks(features, transmission, options), options)
 
 
 def write_blocks(features: FeatureSet, transmission: str, options: WireOptions) -> tuple[Header, list[bytes]]:
     """The header of a transmission and the points of each of its packets, not yet protected.
 
-    Of the forms that the options allow, the one that takes fewest bytes.
+    Of the forms that the options allow, the one that takes fewest bytes. Raises what `encode` raises.
     """
+    if len(features) > MAX_POINTS:
+        raise LimitError(f"{len(features)} points; a transmission carries at most {MAX_POINTS}")
     ordered = features.points[_along_curve(features)]
     for forms in _forms(features, options):
         plans = [_Plan(features, transmission, options, form, grid).fit(ordered) for form, grid in forms]
