@@ -117,7 +117,7 @@ class Row:
 
 
 def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="milliseconds")
+    return datetime.now(UTC).isoformat(timespec="microseconds")
 
 
 def pack_state(state: State) -> bytes:
@@ -242,8 +242,9 @@ class Store:
             db.execute(
                 "INSERT INTO surfaces (id, created, updated, revision, features, settings, contents)"
                 " VALUES (?, ?, ?, ?, ?, ?, ?)"
-                " ON CONFLICT (id) DO UPDATE SET updated = excluded.updated, revision = revision + excluded.revision,"
-                " features = excluded.features, settings = excluded.settings, contents = excluded.contents",
+                " ON CONFLICT (id) DO UPDATE SET updated = MAX(updated, excluded.updated),"
+                " revision = revision + excluded.revision, features = excluded.features,"
+                " settings = excluded.settings, contents = excluded.contents",
                 (name, now, now, int(renew), features, json.dumps(settings), json.dumps(contents)),
             )
             row = Row.of(db.execute(_ROW + "WHERE s.id = ?", (name,)).fetchone())
@@ -296,13 +297,13 @@ class Store:
                 "INSERT OR REPLACE INTO models SELECT n, ?, ?, ?, ? FROM surfaces WHERE n = ?",
                 (revision, sha256(data).hexdigest(), json.dumps(summary), data, n),
             )
-            db.execute("UPDATE surfaces SET updated = ? WHERE n = ?", (_now(), n))
+            db.execute("UPDATE surfaces SET updated = MAX(updated, ?) WHERE n = ?", (_now(), n))
 
     def failed(self, n: int, revision: int, error: dict[str, Any]) -> None:
         """Keep that training on `revision` of surface number `n` failed."""
         with self._transaction() as db:
             db.execute(
-                "UPDATE surfaces SET failed = ?, error = ?, updated = ? WHERE n = ?",
+                "UPDATE surfaces SET failed = ?, error = ?, updated = MAX(updated, ?) WHERE n = ?",
                 (revision, json.dumps(error), _now(), n),
             )
 

@@ -200,3 +200,13 @@ def test_a_failed_training_is_explained(page: Page, receiver: str) -> None:
     send(receiver, "point", np.zeros((1, 3)))
     page.get_by_text("The network could not be trained").wait_for()
     assert "point" in page.locator("#veil-text").inner_text()
+
+
+def test_an_event_that_comes_late_changes_nothing(page: Page, receiver: str) -> None:
+    send(receiver, "point", np.zeros((1, 3)))
+    title = page.get_by_text("The network could not be trained")
+    title.wait_for()
+    page.evaluate("() => changed({...surfaces.get('point'), state: 'training', updated: '2000'})")
+    assert title.is_visible()
+    page.evaluate("() => changed({...surfaces.get('point'), state: 'training', updated: '9999'})")
+    assert not title.is_visible()

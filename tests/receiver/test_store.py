@@ -75,6 +75,17 @@ def test_failures_are_kept_until_the_next_revision(tmp_path: Path) -> None:
         assert [row.id for row in store.untrained()] == ["hills"]
 
 
+def test_updated_never_goes_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with Store(tmp_path) as store:
+        before = take(store).updated
+        monkeypatch.setattr("receiver.store._now", lambda: "2001-01-01T00:00:00.000000+00:00")
+        assert take(store).updated == before
+        store.failed(1, 2, {"detail": "no"})
+        assert store.get("hills").updated == before
+        store.trained(1, 2, state=STATE, summary={})
+        assert store.get("hills").updated == before
+
+
 def test_delete_removes_all_that_belongs_to_it_and_numbers_are_not_given_again(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
         row = take(store)
