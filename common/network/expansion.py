@@ -12,9 +12,6 @@ from common.network.dense import Dense
 from common.network.kernel import Kernel, chunks
 from common.surface import FloatArray
 
-UNNOTICED = 1e-8
-"""Smoothing below which the points are taken for free of noise."""
-
 
 @dataclass(slots=True, eq=False)
 class Expansion:
@@ -31,10 +28,10 @@ class Expansion:
         The points that the deviation is conditioned on, and the measurements behind each.
     kernel, smoothing, variance
         Of the candidate that the deviation is computed with.
-    calibration : float
+    calibration : ndarray, shape (k,)
         Factor on the deviation.
-    excess : float
-        Variance that fewer centres than points leave.
+    excess : ndarray, shape (k,)
+        Variance that the posterior does not know of: detail finer than the points, what fewer centres leave.
     """
 
     centers: FloatArray
@@ -46,8 +43,8 @@ class Expansion:
     kernel: Kernel
     smoothing: float
     variance: float
-    calibration: float
-    excess: float = 0.0
+    calibration: FloatArray
+    excess: FloatArray
     _factor: Dense | None = field(default=None, repr=False)
 
     def predict(self, X: FloatArray) -> FloatArray:
@@ -69,10 +66,7 @@ class Expansion:
         variance = np.empty(len(X))
         for part in chunks(len(X), len(self.support)):
             variance[part] = self._factor.posterior_variance(self.kernel.gram(self.support, X[part]))
-        # A smoothing this small is no noise of the measurements but what the solver cannot tell from zero.
-        variance += self.smoothing if self.smoothing < UNNOTICED else 0.0
-        deviation = np.sqrt(self.calibration**2 * self.variance * variance + self.excess)
-        return np.repeat(deviation[:, None], len(self.bias), axis=1)
+        return np.asarray(np.sqrt(self.calibration**2 * self.variance * variance[:, None] + self.excess))
 
     def to_state(self) -> dict[str, np.ndarray[Any, Any]]:
         """Everything, as arrays that `numpy.savez` takes without pickling."""
@@ -90,5 +84,5 @@ class Expansion:
         )
 
 
-_ARRAYS = ("centers", "spreads", "coefficients", "bias", "support", "weights")
-_NUMBERS = ("smoothing", "variance", "calibration", "excess")
+_ARRAYS = ("centers", "spreads", "coefficients", "bias", "support", "weights", "calibration", "excess")
+_NUMBERS = ("smoothing", "variance")

@@ -14,6 +14,7 @@ import numpy as np
 from common.errors import TrainingError
 from common.network import evaluation, greedy, robust, search
 from common.network.autoassociative import Lifted
+from common.network.calibration import calibrated
 from common.network.expansion import Expansion
 from common.network.kernel import ladder_spreads, mean_spacing, nearest_distance
 from common.network.partition import Partition
@@ -171,6 +172,7 @@ def _train_dense(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
         fit = _select(samples, wanted, tick)
     fit, outliers = robust.set_aside(samples, fit, lambda part, quick: _select(part, wanted, tick, quick=quick))
     samples = samples.without(outliers)
+    calibration = calibrated(samples.X, fit)
     network = Expansion(
         centers=samples.X,
         spreads=fit.spreads,
@@ -181,7 +183,8 @@ def _train_dense(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
         kernel=fit.kernel,
         smoothing=fit.smoothing,
         variance=fit.variance,
-        calibration=calibration(fit),
+        calibration=calibration.factor,
+        excess=calibration.excess,
     )
     trained = Trained(network, outliers, np.zeros(0), notes=notes)
     if wanted.sparse:
@@ -196,7 +199,9 @@ def _train_sparse(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
     tick("selection", 0.0)
     suspects = robust.screen(samples.X, samples.y)
     rows = np.setdiff1d(rows, suspects)
-    fit = _select(samples.take(rows), wanted, tick)
+    few = samples.take(rows)
+    fit = _select(few, wanted, tick)
+    calibration = calibrated(few.X, fit)
     samples = samples.without(suspects)
     none = np.zeros((0, 0))
     network = Expansion(
@@ -209,7 +214,8 @@ def _train_sparse(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
         kernel=fit.kernel,
         smoothing=fit.smoothing,
         variance=fit.variance,
-        calibration=calibration(fit),
+        calibration=calibration.factor,
+        excess=calibration.excess,
     )
     trained = Trained(network, suspects, np.zeros(0))
     chosen = _thin(trained, network, samples, wanted, tick)
@@ -232,8 +238,8 @@ def _thin(trained: Trained, network: Expansion, samples: Samples, wanted: Wanted
     )
     network.centers, network.spreads = samples.X[chosen.indices], network.kernel.spreads
     network.coefficients = network.kernel.amplitudes[:, None, None] * chosen.coefficients
-    left = float(np.mean((network.predict(samples.X) - samples.y) ** 2))
-    network.excess = max(0.0, left - network.smoothing * network.variance)
+    left = np.mean((network.predict(samples.X) - samples.y) ** 2, axis=0)
+    network.excess = network.excess + np.maximum(0.0, left - network.smoothing * network.variance)
     trained.history, trained.stop_reason = chosen.history, chosen.stop_reason
     return chosen.indices
 
@@ -278,17 +284,3 @@ def _bounded(network: Partition, samples: Samples) -> bool:
     between = network.predict(samples.X[pairs] + distances)
     middle = (samples.y.max(axis=0) + samples.y.min(axis=0)) / 2
     return bool(np.all(np.abs(between - middle) <= BEYOND * np.ptp(samples.y, axis=0) / 2))
-
-
-def calibration(fit: Fit) -> float:
-    """Factor on the deviations, from how the leave-one-out residuals compare with what they should be.
-
-    The model's own deviations are right for rough surfaces and many times too large for smooth ones. The share of the
-    residuals' 95 % quantile that is believed (a power of 3/4) and the allowance for few points are empirical:
-    `python -m benchmarks.accuracy --table coverage`.
-    """
-    ratios = np.max(np.abs(fit.residuals), axis=1) / fit.deviations
-    if len(ratios) < 20:
-        return 1.5
-    share = float(np.quantile(ratios, 0.95)) / 1.96
-    return float(np.clip(share**0.75, 0.01, 10.0)) * (1 + 8 / len(ratios))

@@ -77,7 +77,7 @@ class _Search:
 
     def __init__(self, samples: Samples, spreads: FloatArray, budget: int, tick: Callable[[float], None]) -> None:
         self.samples, self.spreads, self.budget, self.tick = samples, spreads, budget, tick
-        self.tried: dict[Candidate, tuple[float, float, float, Solution]] = {}
+        self.tried: dict[Candidate, tuple[float, float, float, Solution, float]] = {}
 
     def value(self, candidate: Candidate) -> float:
         """The score, infinite where the budget is spent."""
@@ -100,7 +100,9 @@ class _Search:
                         best, moved = move, True
                         break
         candidates = list(self.tried)
-        scored = Scored(candidates, *(np.array([self.tried[c][i] for c in candidates]) for i in range(3)))
+        # Rounding may have asked for more smoothing than the candidate's.
+        solved = [replace(c, smoothing=self.tried[c][4]) for c in candidates]
+        scored = Scored(solved, *(np.array([self.tried[c][i] for c in candidates]) for i in range(3)))
         parts = [(c, share) for c, share in zip(candidates, scored.shares.tolist(), strict=True) if share]
         solutions = [self.tried[c][3].scaled(share) for c, share in parts]
         return combine(
@@ -148,8 +150,8 @@ class _Moves:
         return moves
 
 
-def _solve(samples: Samples, candidate: Candidate, spreads: FloatArray) -> tuple[float, float, float, Solution]:
-    """Score, signal variance, restricted nll and network of one candidate on all samples."""
+def _solve(samples: Samples, candidate: Candidate, spreads: FloatArray) -> tuple[float, float, float, Solution, float]:
+    """Score, signal variance, restricted nll, network and smoothing of one candidate on all samples."""
     smoothing = max(candidate.smoothing, rounding_floor(len(samples)))
     dense = Dense(candidate.kernel(spreads).gram(samples.X), samples.weights, smoothing)
     coefficients, bias = dense.solve(samples.y)
@@ -158,4 +160,4 @@ def _solve(samples: Samples, candidate: Candidate, spreads: FloatArray) -> tuple
     own = np.mean(residuals**2 / spread[:, None])
     left_out = 0.5 * samples.y.shape[1] * float(len(samples) * np.log(own) + np.log(spread).sum())
     value = float(score(len(samples), np.array(restricted), np.array(left_out), np.array(dense.smoothing)))
-    return value, variance, restricted, Solution(coefficients, bias, residuals, spread)
+    return value, variance, restricted, Solution(coefficients, bias, residuals, spread), dense.smoothing
