@@ -31,10 +31,12 @@ class Dense:
     def __init__(self, gram: FloatArray, weights: FloatArray, smoothing: float) -> None:
         n = len(gram)
         self.weights = weights
+        diagonal = np.diag_indices(n)
+        own = gram[diagonal]
         for _ in range(_MAX_RAISES):
-            matrix = gram.copy(order="F")
-            matrix[np.diag_indices(n)] += smoothing / weights
-            factor = lapack.cholesky(matrix)
+            gram[diagonal] = own + smoothing / weights
+            # The transpose of a symmetric matrix in rows is the same in columns, as LAPACK wants it.
+            factor = lapack.cholesky(gram.T)
             if factor is not None:
                 break
             smoothing = 10 * max(smoothing, n * float(np.finfo(np.float64).eps))
@@ -56,7 +58,7 @@ class Dense:
 
     def leave_one_out(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residuals (n, k) and their variances over the signal variance (n,)."""
-        diagonal = np.diag(lapack.inverse(self.factor)) - self.one**2 / self.one.sum()
+        diagonal = lapack.inverse_diagonal(self.factor) - self.one**2 / self.one.sum()
         return coefficients / diagonal[:, None], 1 / diagonal
 
     def restricted(self, samples: Samples, coefficients: FloatArray) -> tuple[float, float]:

@@ -19,6 +19,7 @@ from common.network.expansion import Expansion
 from common.network.kernel import ladder_spreads, mean_spacing, nearest_distance
 from common.network.partition import Partition
 from common.network.selection import SMOOTHINGS, Family, Fit, Samples, blend, families, rounding_floor
+from common.network.threads import single_threaded_blas
 from common.surface import FloatArray, IntArray
 
 Tick: TypeAlias = Callable[[str, float], None]
@@ -80,6 +81,7 @@ class Trained:
     notes: tuple[str, ...] = ()
 
 
+@single_threaded_blas()
 def train(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
     """The network of the samples."""
     if len(samples) <= DENSE:
@@ -94,6 +96,7 @@ def train(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
     return _train_partition(samples, wanted, tick)
 
 
+@single_threaded_blas()
 def train_lifted(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
     """The autoassociative network of the samples."""
     if len(samples) > DENSE:
@@ -110,8 +113,11 @@ def _none() -> IntArray:
     return np.zeros(0, dtype=np.int64)
 
 
-def _chosen(samples: Samples, wanted: Wanted, tick: Tick, *, quick: bool = False) -> Fit:
-    """Spread and smoothing, as asked or from the data, with every point a centre."""
+def _chosen(samples: Samples, wanted: Wanted, tick: Tick, *, quick: bool = False, like: Fit | None = None) -> Fit:
+    """Spread and smoothing, as asked or from the data, with every point a centre.
+
+    Where there is a fit to be `like`, kernels that had no share in it are not tried.
+    """
     extent = float(np.ptp(samples.X, axis=0).max()) or 1.0
     spreads = ladder_spreads(mean_spacing(samples.X) or 1.0, 2 * extent)
     kinds: list[tuple[Family, float]]
@@ -120,6 +126,13 @@ def _chosen(samples: Samples, wanted: Wanted, tick: Tick, *, quick: bool = False
     else:
         given = _given(samples, wanted)
         spreads, kinds = np.array([given]), [("single", given)]
+    if like is not None:
+        shared = {
+            (c.family, c.parameter)
+            for c, share in zip(like.scored.candidates, like.scored.shares, strict=True)
+            if share
+        }
+        kinds = [kind for kind in kinds if kind in shared]
     floor = rounding_floor(len(samples))
     chosen = wanted.smoothing
     if chosen is None and len(samples) < TELLING:
@@ -145,7 +158,7 @@ def _select(samples: Samples, wanted: Wanted, tick: Tick, *, quick: bool = False
         return fit
     weights = 1 / (1 + steepness / steepness.mean())
     weights *= samples.weights / np.exp(np.mean(np.log(weights)))
-    return blend([fit, _chosen(replace(samples, weights=weights), wanted, tick)])
+    return blend([fit, _chosen(replace(samples, weights=weights), wanted, tick, like=fit)])
 
 
 def _given(samples: Samples, wanted: Wanted) -> float:

@@ -1,7 +1,8 @@
 """Many points: a sample of them ranks the candidates, a short search on all of them settles spread and smoothing.
 
-Each candidate of the search costs one Cholesky factorisation and its inverse. Those that were tried are averaged, as
-they are for few points.
+Each candidate of the search costs one Cholesky factorisation and the inverse of its factor. The search goes by rounds:
+a step to either side in spread (or roughness) and in smoothing, all on several cores at once, and one to where the
+parabolas through them have their least values. Those that were tried are averaged, as they are for few points.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from common.network.dense import Dense
-from common.network.kernel import LADDER_STEP
+from common.network.kernel import LADDER_STEP, squared_distances, sum_of_levels
 from common.network.selection import (
     ROUGHNESS,
     Candidate,
@@ -26,6 +27,7 @@ from common.network.selection import (
     rounding_floor,
     score,
 )
+from common.network.threads import parallel
 from common.surface import FloatArray
 
 AVERAGED = 250
@@ -41,7 +43,16 @@ TRIALS = 14
 """Candidates that a search may factorise."""
 
 _SMOOTHING_STEP = 10**0.5
-_HALVINGS = 3
+_LOG_STEP = float(np.log(_SMOOTHING_STEP))
+
+STEPS = (1.0, 0.5)
+"""Lengths of steps, the next where the last found the best in its middle; as fine as the candidates of few points."""
+
+PROMISED = 0.1
+"""Score below which what a further round may gain is not worth its candidates: it would hardly change the average."""
+
+FARTHEST = 2.0
+"""Steps that a parabola may lead away."""
 
 
 def fit(
@@ -62,14 +73,15 @@ def fit(
         return average(samples, kinds, spreads, smoothings, tick)
     order = np.random.default_rng(0).permutation(n)
     few = samples.take(np.sort(order[:RANKED]))
-    moves = _Moves(kernel=len(kinds) > 1, smoothing=len(smoothings) > 1)
-    starts = _starts(average(few, kinds, spreads, smoothings, lambda share: tick(0.2 * share)).scored)
+    free = _Free(kernel=len(kinds) > 1, smoothing=len(smoothings) > 1)
+    coarse = [kind for kind in kinds if kind[0] != "single" or len(kinds) == 1 or kind[1] in spreads]
+    starts = _starts(average(few, coarse, spreads, smoothings, lambda share: tick(0.2 * share)).scored)
     if n > CLIMBED and not quick:
         some = samples.take(np.sort(order[:CLIMBED]))
         search = _Search(some, spreads, TRIALS, lambda share: tick(0.2 + 0.4 * share))
-        starts = [search.climb(starts, moves).scored.best]
+        starts = [search.climb(starts, free).scored.best]
     budget = 1 if quick or n > CLIMBED else TRIALS
-    return _Search(samples, spreads, budget, lambda share: tick(0.6 + 0.4 * share)).climb(starts, moves)
+    return _Search(samples, spreads, budget, lambda share: tick(0.6 + 0.4 * share)).climb(starts, free)
 
 
 class _Search:
@@ -77,37 +89,67 @@ class _Search:
 
     def __init__(self, samples: Samples, spreads: FloatArray, budget: int, tick: Callable[[float], None]) -> None:
         self.samples, self.spreads, self.budget, self.tick = samples, spreads, budget, tick
-        self.tried: dict[Candidate, tuple[float, float, float, Solution, float]] = {}
+        self.r2 = squared_distances(samples.X)
+        self.lowest = round(float(np.log(rounding_floor(len(samples))) / _LOG_STEP), 6)
+        self.tried: dict[_Place, tuple[float, float, float, Solution, float]] = {}
 
-    def value(self, candidate: Candidate) -> float:
-        """The score, infinite where the budget is spent."""
-        if candidate not in self.tried:
-            if len(self.tried) >= self.budget:
-                return np.inf
-            self.tried[candidate] = _solve(self.samples, candidate, self.spreads)
-            self.tick(len(self.tried) / self.budget)
-        return self.tried[candidate][0]
+    def values(self, places: Sequence[_Place]) -> list[float]:
+        """The scores, infinite where the budget is spent."""
+        fresh = [place for place in dict.fromkeys(places) if place not in self.tried]
+        fresh = fresh[: self.budget - len(self.tried)]
+        found = parallel(lambda place: _solve(self.samples, place.candidate, self.spreads, self.r2), fresh)
+        self.tried |= zip(fresh, found, strict=True)
+        self.tick(len(self.tried) / self.budget)
+        return [self.tried[place][0] if place in self.tried else np.inf for place in places]
 
-    def climb(self, starts: Sequence[Candidate], moves: _Moves) -> Fit:
+    def climb(self, starts: Sequence[Candidate], free: _Free) -> Fit:
         """From the best of the starts to better neighbours, ever closer ones; the average of all that were tried."""
-        best = min(starts, key=self.value)
-        for halvings in range(_HALVINGS):
-            moved = True
-            while moved:
-                moved = False
-                for move in moves.around(best, 0.5**halvings):
-                    if self.value(move) < self.value(best):
-                        best, moved = move, True
-                        break
-        candidates = list(self.tried)
+        places = [self._moved(_Place.of(start), 1, 0.0) for start in starts]
+        best = places[int(np.argmin(self.values(places)))]
+        for step in STEPS:
+            near, promised = False, np.inf
+            while not near and len(self.tried) < self.budget:
+                before, (best, promised) = best, self._round(best, step, free)
+                near = best.within(before, step / 2)
+            if promised < PROMISED:
+                break
+        return self._averaged()
+
+    def _round(self, middle: _Place, step: float, free: _Free) -> tuple[_Place, float]:
+        """The best place about the middle, and what the parabolas say that half as long a step may still gain."""
+        axes = [axis for axis, is_free in enumerate((free.kernel, free.smoothing)) if is_free]
+        around = [self._moved(middle, axis, side * step) for axis in axes for side in (-1, 1)]
+        here, *values = self.values([middle, *around])
+        aim, bends = middle, 0.0
+        for axis, left, right in zip(axes, values[::2], values[1::2], strict=True):
+            bend, lean = left + right - 2 * here, (left - right) / 2
+            if not np.isfinite(bend):
+                continue
+            away = lean / bend if bend > 0 else FARTHEST * np.sign(lean)
+            # On a lattice the next round finds some of its candidates tried already.
+            steps = round(step * float(np.clip(away, -FARTHEST, FARTHEST)) / STEPS[-1])
+            aim = self._moved(aim, axis, STEPS[-1] * steps)
+            bends += max(bend, 0.0)
+        found = dict(zip([middle, *around, aim], [here, *values, *self.values([aim])], strict=True))
+        return min(found, key=lambda place: found[place]), bends / 8
+
+    def _moved(self, place: _Place, axis: int, steps: float) -> _Place:
+        """The place so many steps along the axis, within what a kernel can be and above the rounding floor."""
+        at = list(place.at)
+        at[axis] = round(at[axis] + steps, 6)
+        if place.family == "ladder":
+            at[0] = min(max(at[0], 0.0), len(ROUGHNESS) - 1.0)
+        return _Place(place.family, (at[0], max(at[1], self.lowest)))
+
+    def _averaged(self) -> Fit:
+        places = list(self.tried)
         # Rounding may have asked for more smoothing than the candidate's.
-        solved = [replace(c, smoothing=self.tried[c][4]) for c in candidates]
-        scored = Scored(solved, *(np.array([self.tried[c][i] for c in candidates]) for i in range(3)))
-        parts = [(c, share) for c, share in zip(candidates, scored.shares.tolist(), strict=True) if share]
-        solutions = [self.tried[c][3].scaled(share) for c, share in parts]
-        return combine(
-            scored, [c.kernel(self.spreads) for c, _ in parts], solutions, self.spreads, self.samples.weights
-        )
+        candidates = [replace(place.candidate, smoothing=self.tried[place][4]) for place in places]
+        scored = Scored(candidates, *(np.array([self.tried[p][i] for p in places]) for i in range(3)))
+        parts = [(p, share) for p, share in zip(places, scored.shares.tolist(), strict=True) if share]
+        solutions = [self.tried[p][3].scaled(share) for p, share in parts]
+        kernels = [p.candidate.kernel(self.spreads) for p, _ in parts]
+        return combine(scored, kernels, solutions, self.spreads, self.samples.weights)
 
 
 def _starts(ranked: Scored) -> list[Candidate]:
@@ -125,35 +167,53 @@ _BEHIND = 8.0
 
 
 @dataclass(frozen=True)
-class _Moves:
-    """Neighbours of a candidate in what is not given."""
+class _Free:
+    """What is not given."""
 
     kernel: bool
     smoothing: bool
 
-    def around(self, candidate: Candidate, share: float) -> list[Candidate]:
-        """Candidates one step away, the step a power `share` of the largest."""
-        moves: list[Candidate] = []
-        if self.kernel and candidate.family == "ladder":
-            at = int(np.argmin(np.abs(np.subtract(ROUGHNESS, candidate.parameter))))
-            near = [ROUGHNESS[i] for i in (at - 1, at + 1) if 0 <= i < len(ROUGHNESS)]
-            moves += [
-                replace(candidate, parameter=candidate.parameter + share * (roughness - candidate.parameter))
-                for roughness in near
-            ]
-        elif self.kernel:
-            step = LADDER_STEP**share
-            moves += [replace(candidate, parameter=candidate.parameter * factor) for factor in (step, 1 / step)]
-        if self.smoothing:
-            step = _SMOOTHING_STEP**share
-            moves += [replace(candidate, smoothing=candidate.smoothing * factor) for factor in (step, 1 / step)]
-        return moves
+
+@dataclass(frozen=True)
+class _Place:
+    """A candidate as a place in the plane of kernel and smoothing, in steps of the search.
+
+    Coordinates are rounded, so that a way back ends where it began.
+    """
+
+    family: Family
+    at: tuple[float, float]
+
+    @classmethod
+    def of(cls, candidate: Candidate) -> _Place:
+        """The place of a candidate."""
+        if candidate.family == "ladder":
+            kernel = float(np.interp(candidate.parameter, ROUGHNESS, np.arange(len(ROUGHNESS))))
+        else:
+            kernel = float(np.log(candidate.parameter) / np.log(LADDER_STEP))
+        return cls(candidate.family, (round(kernel, 6), round(float(np.log(candidate.smoothing) / _LOG_STEP), 6)))
+
+    @property
+    def candidate(self) -> Candidate:
+        """The candidate at the place."""
+        kernel, smoothing = self.at
+        if self.family == "ladder":
+            parameter = float(np.interp(kernel, np.arange(len(ROUGHNESS)), ROUGHNESS))
+        else:
+            parameter = LADDER_STEP**kernel
+        return Candidate(self.family, parameter, _SMOOTHING_STEP**smoothing)
+
+    def within(self, other: _Place, steps: float) -> bool:
+        """Whether the other place is no further off than so many steps on either axis."""
+        return max(abs(a - b) for a, b in zip(self.at, other.at, strict=True)) <= steps
 
 
-def _solve(samples: Samples, candidate: Candidate, spreads: FloatArray) -> tuple[float, float, float, Solution, float]:
-    """Score, signal variance, restricted nll, network and smoothing of one candidate on all samples."""
-    smoothing = max(candidate.smoothing, rounding_floor(len(samples)))
-    dense = Dense(candidate.kernel(spreads).gram(samples.X), samples.weights, smoothing)
+def _solve(
+    samples: Samples, candidate: Candidate, spreads: FloatArray, r2: FloatArray
+) -> tuple[float, float, float, Solution, float]:
+    """Score, signal variance, restricted nll and network of one candidate on all samples."""
+    kernel = candidate.kernel(spreads)
+    dense = Dense(sum_of_levels(r2, kernel.spreads, kernel.amplitudes), samples.weights, candidate.smoothing)
     coefficients, bias = dense.solve(samples.y)
     restricted, variance = dense.restricted(samples, coefficients)
     residuals, spread = dense.leave_one_out(coefficients)

@@ -31,6 +31,7 @@ import scipy.linalg
 
 from common.errors import ParameterError, TrainingError
 from common.network.kernel import LADDER_STEP, Kernel, level_matrices, squared_distances
+from common.network.threads import parallel
 from common.surface import FloatArray, IntArray
 
 Family: TypeAlias = Literal["single", "multiquadric", "ladder"]
@@ -293,18 +294,18 @@ def average(
     r2 = squared_distances(samples.X)
     levels = np.array(level_matrices(r2, spreads))
     kernels = [Candidate(family, parameter, 0.0).kernel(spreads) for family, parameter in kinds]
-    batch = max(1, _BATCH // max(1, len(samples) ** 2))
-    scores, variances, likelihoods, spectra = [], [], [], []
-    for start in range(0, len(kinds), batch):
+    batch = max(1, min(_BATCH // max(1, len(samples) ** 2), -(-len(kinds) // _PARTS)))
+
+    def work(start: int) -> tuple[Spectra, tuple[FloatArray, FloatArray, FloatArray]]:
         part = Spectra(
             np.array([_gram(kernel, r2, spreads, levels) for kernel in kernels[start : start + batch]]), samples
         )
-        restricted, left_out, variance = part.criteria(smoothings)
-        scores.append(score(len(samples), restricted, left_out, smoothings))
-        variances.append(variance)
-        likelihoods.append(restricted)
-        spectra.append(part)
-        tick(min(1.0, (start + batch) / len(kinds)))
+        return part, part.criteria(smoothings)
+
+    found = parallel(work, range(0, len(kinds), batch), tick=tick)
+    spectra = [part for part, _ in found]
+    likelihoods, left_out, variances = zip(*(criteria for _, criteria in found), strict=True)
+    scores = [score(len(samples), *both, smoothings) for both in zip(likelihoods, left_out, strict=True)]
     candidates = [Candidate(family, p, s) for family, p in kinds for s in smoothings.tolist()]
     scored = Scored(candidates, *(np.concatenate(part).ravel() for part in (scores, variances, likelihoods)))
     by_kind = scored.shares.reshape(len(kinds), -1)
@@ -419,3 +420,6 @@ def _summed(parts: Sequence[tuple[float, FloatArray]]) -> tuple[FloatArray, Floa
 
 _BATCH = 2_000_000
 """Kernel values decomposed at once: 16 MB an array."""
+
+_PARTS = 4
+"""Parts that the kernels are decomposed in, at least, side by side."""

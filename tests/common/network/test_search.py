@@ -1,0 +1,52 @@
+"""The short search where there are more points than are averaged over every candidate."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+from common.network import RBFNetwork, search, threads
+from common.network.kernel import ladder_spreads, mean_spacing
+from common.network.selection import SMOOTHINGS, Samples, families, rounding_floor
+
+
+def samples(n: int, noise: float) -> Samples:
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-1, 1, (n, 2))
+    y = np.sin(4 * X[:, :1]) + np.sin(4 * X[:, 1:]) + noise * rng.normal(size=(n, 1))
+    return Samples(X, y, np.ones(n))
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1])
+def test_a_handful_of_candidates_finds_the_family_and_the_noise(noise: float) -> None:
+    given = samples(400, noise)
+    spreads = ladder_spreads(mean_spacing(given.X), 4.0)
+    smoothings = SMOOTHINGS[rounding_floor(400) <= SMOOTHINGS]
+    found = search.fit(given, families(spreads, 2.0), spreads, smoothings, lambda _share: None)
+    assert len(found.scored.candidates) == len(set(found.scored.candidates)) <= search.TRIALS
+    assert all(candidate.smoothing >= 0.999 * rounding_floor(400) for candidate in found.scored.candidates)
+    best = found.scored.best
+    assert best.family == "single"
+    if noise:
+        assert noise**2 / 4 < best.smoothing < 4 * noise**2
+
+
+def test_what_is_given_stays() -> None:
+    given = samples(400, 0.1)
+    found = search.fit(given, [("single", 0.5)], np.array([0.5]), SMOOTHINGS[:20], lambda _share: None)
+    assert {round(candidate.parameter, 6) for candidate in found.scored.candidates} == {0.5}
+    found = search.fit(given, [("single", 0.5)], np.array([0.5]), np.array([1e-3]), lambda _share: None)
+    assert [candidate.smoothing for candidate in found.scored.candidates] == pytest.approx([1e-3])
+
+
+@pytest.mark.parametrize("n", [60, 300])
+def test_the_same_bits_whatever_the_threads(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    given = samples(n, 0.05)
+    grids = []
+    for count in (1, 2, 3):
+        monkeypatch.setattr(threads, "cores", lambda count=count: count)
+        with threadpool_limits(count):
+            grids.append(RBFNetwork().fit(given.X, given.y[:, 0]).coefficients_)
+    np.testing.assert_array_equal(grids[0], grids[1])
+    np.testing.assert_array_equal(grids[0], grids[2])
