@@ -185,7 +185,7 @@ class Spectra:
         n, outputs = self.samples.y.shape
         inverse = 1 / (self.values[:, :, None] + smoothings)
         one_one = np.einsum("cn,cnm->cm", self.one**2, inverse)
-        one_y = np.einsum("cn,cnk,cnm->ckm", self.one, self.y, inverse, optimize=True)
+        one_y = np.swapaxes(self.one[:, :, None] * self.y, 1, 2) @ inverse
         quadratic = np.clip(np.einsum("cnk,cnm->cm", self.y**2, inverse) - np.sum(one_y**2, 1) / one_one, TINY, None)
         free = n - 1 + self.samples.repeats
         variance = (quadratic + self.samples.scatter / smoothings) / (free * outputs)
@@ -193,7 +193,7 @@ class Spectra:
         restricted = 0.5 * outputs * (free * np.log(variance) + log_det - np.log(self.samples.weights).sum())
 
         solved, diagonal = self._projected(inverse, one_one, one_y)
-        squares = np.clip(np.einsum("cknm,cknm,cnm->cnm", solved, solved, 1 / diagonal, optimize=True), TINY, None)
+        squares = np.clip(np.square(solved).sum(axis=1) / diagonal, TINY, None)
         own = squares.mean(axis=1) / outputs
         spread = np.log(diagonal).sum(axis=1) + np.log(self.samples.weights).sum()
         return restricted, 0.5 * outputs * (n * np.log(own) - spread), variance
@@ -297,9 +297,7 @@ def average(
     batch = max(1, min(_BATCH // max(1, len(samples) ** 2), -(-len(kinds) // _PARTS)))
 
     def work(start: int) -> tuple[Spectra, tuple[FloatArray, FloatArray, FloatArray]]:
-        part = Spectra(
-            np.array([_gram(kernel, r2, spreads, levels) for kernel in kernels[start : start + batch]]), samples
-        )
+        part = Spectra(_grams(kernels[start : start + batch], r2, spreads, levels), samples)
         return part, part.criteria(smoothings)
 
     found = parallel(work, range(0, len(kinds), batch), tick=tick)
@@ -319,11 +317,20 @@ def average(
     )
 
 
-def _gram(kernel: Kernel, r2: FloatArray, spreads: FloatArray, levels: FloatArray) -> FloatArray:
-    """The kernel matrix, from the levels of the ladder where the kernel stands on them."""
-    if len(kernel.spreads) == 1:
-        return np.asarray(np.exp(r2 * (-0.5 / kernel.spreads[0] ** 2)))
-    return np.asarray(np.tensordot(kernel.amplitudes, levels[np.isin(spreads, kernel.spreads)], axes=1))
+def _grams(kernels: Sequence[Kernel], r2: FloatArray, spreads: FloatArray, levels: FloatArray) -> FloatArray:
+    """The kernel matrices (c, n, n), from the levels of the ladder where a kernel stands on them."""
+    grams = np.empty((len(kernels), *r2.shape))
+    single = np.array([len(kernel.spreads) == 1 for kernel in kernels])
+    if single.any():
+        factors = np.array([-0.5 / kernel.spreads[0] ** 2 for kernel in kernels if len(kernel.spreads) == 1])
+        grams[single] = np.exp(factors[:, None, None] * r2)
+    if not single.all():
+        mixed = [kernel for kernel in kernels if len(kernel.spreads) > 1]
+        shares = np.zeros((len(mixed), len(spreads)))
+        for share, kernel in zip(shares, mixed, strict=True):
+            share[np.searchsorted(-spreads, -kernel.spreads)] = kernel.amplitudes
+        grams[~single] = np.tensordot(shares, levels, axes=1)
+    return grams
 
 
 @dataclass(frozen=True, slots=True, eq=False)
