@@ -7,6 +7,9 @@ On a tensor grid the Gaussian separates, Z = (E_y * c) E_x': one matrix product 
 - A Gaussian that is narrow against the grid ends after `REACH` spreads: the grid is cut into tiles, and each takes only
   the centres that reach it.
 
+The cheaper of the two is taken, by the multiplications that each needs. Both go over all cores by strips and tiles of
+fixed size, so the sums are the same to the last bit whatever the number of cores.
+
 Scattered positions are taken in tiles, too, small enough for the processor's cache; from level to narrower level a tile
 keeps the centres that still reach it. Errors of both cuts are below 1e-14 of the sum of |c|.
 """
@@ -33,6 +36,12 @@ CENTERS = 4096
 
 TILE = 64
 """Least side of a grid tile, in nodes: smaller tiles cost more in calls than they save in products."""
+
+STRIP = 128
+"""Rows of a product that a thread takes at once: enough for the full rate of a product, few enough for every core."""
+
+CALL = 1_000_000
+"""Multiplications that take as long as what a tile costs besides its product."""
 
 _SQUARINGS = 4
 """Levels taken by squaring before a fresh exponential: each squaring doubles the relative rounding error."""
@@ -61,29 +70,42 @@ def evaluate_grid(
         return np.moveaxis(grid, 0, 2)
     held: tuple[FloatArray, FloatArray, FloatArray] | None = None
     for spread, c in zip(spreads, coefficients, strict=True):
-        along_x, along_y = _nodes(x, float(spread)), _nodes(y, float(spread))
-        if along_x is None or along_y is None:
+        nodes = _nodes(x, y, len(centers), float(spread))
+        if nodes is None:
             _add_tiles(grid, x, y, centers, float(spread), c)
             continue
+        along_x, along_y = nodes
         values = np.zeros((grid.shape[0], len(along_y), len(along_x)))
         _add_product(values, along_x, along_y, centers, float(spread), c)
         if held is not None and len(held[0]) <= len(along_x) and len(held[1]) <= len(along_y):
-            values += _refined(*held, along_x, along_y)
+            _add_refined(values, *held, along_x, along_y)
         elif held is not None:
-            grid += _refined(*held, x, y)
+            _add_refined(grid, *held, x, y)
         held = along_x, along_y, values
     if held is not None:
-        grid += _refined(*held, x, y)
+        _add_refined(grid, *held, x, y)
     return np.moveaxis(grid, 0, 2)
 
 
-def _nodes(axis: FloatArray, spread: float) -> FloatArray | None:
-    """Chebyshev nodes that carry a Gaussian of this spread over the axis, or None where they do not pay."""
+def _nodes(x: FloatArray, y: FloatArray, centers: int, spread: float) -> tuple[FloatArray, FloatArray] | None:
+    """Chebyshev nodes that carry a Gaussian of this spread over both axes, or None where tiles are cheaper."""
+    along_x, along_y = _chebyshev_nodes(x, spread), _chebyshev_nodes(y, spread)
+    columns, rows = len(along_x), len(along_y)
+    interpolation = len(x) * columns**2 + len(y) * rows**2 + len(y) * columns * (rows + len(x))
+    tiles, products = 1, float(len(x) * len(y) * centers)
+    for axis in (x, y):
+        cuts, half = len(_cuts(axis, REACH * spread)), float(np.ptp(axis)) / 2
+        tiles *= cuts
+        products *= min(1.0, 1 / cuts + REACH * spread / half) if cuts > 1 else 1.0
+    chebyshev_is_cheaper = rows * columns * centers + interpolation < products + CALL * tiles
+    return (along_x, along_y) if chebyshev_is_cheaper else None
+
+
+def _chebyshev_nodes(axis: FloatArray, spread: float) -> FloatArray:
+    """Chebyshev nodes that carry a Gaussian of this spread over the axis."""
     low, high = float(axis.min()), float(axis.max())
     half = (high - low) / 2
     count = chebyshev_count(half / spread)
-    if count > 0.7 * len(axis):
-        return None
     return (low + high) / 2 + half * np.cos(np.pi * (np.arange(count) + 0.5) / count)
 
 
@@ -97,9 +119,17 @@ def chebyshev_count(ratio: float) -> int:
     return int(np.ceil(np.min((ratio**2 * (rho - 1 / rho) ** 2 / 8 + 39) / np.log(rho))))
 
 
-def _refined(old_x: FloatArray, old_y: FloatArray, values: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Values on Chebyshev nodes (k, len(old_y), len(old_x)) interpolated to x and y, shape (k, len(y), len(x))."""
-    return np.asarray((_interpolation(old_y, y) @ values) @ _interpolation(old_x, x).T)
+def _add_refined(
+    out: FloatArray, old_x: FloatArray, old_y: FloatArray, values: FloatArray, x: FloatArray, y: FloatArray
+) -> None:
+    """Add values on Chebyshev nodes (k, len(old_y), len(old_x)), interpolated to x and y, to `out`."""
+    along_x, along_y = _interpolation(old_x, x).T, _interpolation(old_y, y)
+
+    def work(strip: slice) -> None:
+        for k in range(len(out)):
+            out[k, strip] += (along_y[strip] @ values[k]) @ along_x
+
+    parallel(work, _strips(len(y)))
 
 
 def _interpolation(nodes: FloatArray, axis: FloatArray) -> FloatArray:
@@ -121,16 +151,32 @@ def _transform(count: int) -> FloatArray:
     return np.asarray(matrix)
 
 
+def _strips(rows: int) -> list[slice]:
+    return [slice(start, min(rows, start + STRIP)) for start in range(0, rows, STRIP)]
+
+
 def _add_product(
     out: FloatArray, x: FloatArray, y: FloatArray, centers: FloatArray, spread: float, coefficients: FloatArray
 ) -> None:
     """Add one spread to `out`, shape (k, len(y), len(x))."""
     for start in range(0, len(centers), CENTERS):
         part = slice(start, start + CENTERS)
-        along_x = np.exp(-0.5 * ((x[:, None] - centers[part, 0]) / spread) ** 2)
-        along_y = np.exp(-0.5 * ((y[:, None] - centers[part, 1]) / spread) ** 2)
-        for k in range(len(out)):
-            out[k] += (along_y * coefficients[part, k]) @ along_x.T
+        along_x = _along(x, centers[part, 0], spread).T
+
+        def work(strip: slice, part: slice = part, along_x: FloatArray = along_x) -> None:
+            along_y = _along(y[strip], centers[part, 1], spread)
+            for k in range(len(out)):
+                out[k, strip] += (along_y * coefficients[part, k]) @ along_x
+
+        parallel(work, _strips(len(y)))
+
+
+def _along(axis: FloatArray, centers: FloatArray, spread: float) -> FloatArray:
+    """Gaussians along one axis, shape (len(axis), len(centers))."""
+    away = (axis[:, None] - centers) / spread
+    np.square(away, out=away)
+    away *= -0.5
+    return np.asarray(np.exp(away, out=away))
 
 
 def _add_tiles(
@@ -139,15 +185,26 @@ def _add_tiles(
     """Add one narrow spread to the grid, tile by tile, each with the centres that reach it."""
     reach = REACH * spread
     columns, rows = _cuts(x, reach), _cuts(y, reach)
-    for row in rows:
-        low, high = y[row].min() - reach, y[row].max() + reach
-        near = np.flatnonzero((centers[:, 1] >= low) & (centers[:, 1] <= high))
-        band, c = centers[near], coefficients[near]
+    if len(columns) == len(rows) == 1:
+        _add_product(grid, x, y, centers, spread, coefficients)
+        return
+
+    def work(row: slice) -> None:
+        near = _within(centers[:, 1], y[row], reach)
+        across, along_y, c = centers[near, 0], _along(y[row], centers[near, 1], spread), coefficients[near]
         for column in columns:
-            low, high = x[column].min() - reach, x[column].max() + reach
-            mine = np.flatnonzero((band[:, 0] >= low) & (band[:, 0] <= high))
+            mine = _within(across, x[column], reach)
             if len(mine):
-                _add_product(grid[:, row, column], x[column], y[row], band[mine], spread, c[mine])
+                along_x = _along(x[column], across[mine], spread).T
+                for k in range(len(grid)):
+                    grid[k, row, column] += (along_y[:, mine] * c[mine, k]) @ along_x
+
+    parallel(work, rows)
+
+
+def _within(centers: FloatArray, axis: FloatArray, reach: float) -> IntArray:
+    """Centres along one axis that reach a part of it."""
+    return np.flatnonzero((centers >= axis.min() - reach) & (centers <= axis.max() + reach))
 
 
 def _cuts(axis: FloatArray, reach: float) -> list[slice]:

@@ -46,8 +46,7 @@ def test_as_many_chebyshev_nodes_as_a_gaussian_needs(ratio: float, centre: float
     spread = 1 / ratio
     count = evaluation.chebyshev_count(ratio)
     x = np.linspace(-1, 1, 2 * count + 50)
-    nodes = evaluation._nodes(x, spread)
-    assert nodes is not None
+    nodes = evaluation._chebyshev_nodes(x, spread)
     matrix = evaluation._interpolation(nodes, x)
     found = matrix @ np.exp(-0.5 * ((nodes - centre) / spread) ** 2)
     np.testing.assert_allclose(found, np.exp(-0.5 * ((x - centre) / spread) ** 2), atol=2e-13)
