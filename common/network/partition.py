@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from common.errors import TrainingError
-from common.network import local
+from common.network import calibration, local
 from common.network.cover import Cover, Frame, frame_for, ragged, step
 from common.network.kernel import Kernel, rough_amplitudes
 from common.network.local import CACHED, FAR, Levels
@@ -62,6 +62,9 @@ FEW, MORE = 16, 96
 
 LIKELY = 4
 """Kernels that more patches choose from."""
+
+CHECKED = 96
+"""Patches whose points are held against the network without them."""
 
 LADDER: FloatArray = np.asarray(32.0 / 2.0 ** np.arange(8))
 """Spreads of the ladder in mean spacings; a patch is about ten spacings wide. A step of two is as good as the dense
@@ -110,6 +113,9 @@ class Partition:
     bias : ndarray, shape (patches, k)
     amplitude : ndarray, shape (patches, k)
         Deviation of the surface about the bias of each patch, as its kernel explains it.
+    factor, detail : ndarray, shape (k,)
+        Factor on the posterior deviation, and the share of the smoothing that is detail of the surface, not noise; see
+        `calibration`.
     """
 
     cover: Cover
@@ -123,6 +129,8 @@ class Partition:
     coefficients: FloatArray
     bias: FloatArray
     amplitude: FloatArray
+    factor: FloatArray
+    detail: FloatArray
 
     @classmethod
     def fit(
@@ -182,13 +190,14 @@ class Partition:
         if spread != "auto":
             spacings[:] = spread / frame.side
         patches = len(cover)
-        empty = np.zeros((0, 0))
+        empty, unit = np.zeros((0, 0)), Kernel.single(1.0)
         made = cls(
-            cover, u, share, starts, members, spacings, Kernel.single(1.0), np.zeros(patches), empty, empty, empty
+            cover, u, share, starts, members, spacings, unit, np.zeros(patches), empty, empty, empty, empty, empty
         )
         kernel, level = made._chosen(values, spread, smoothing, told)
         made.kernel, made.smoothing = kernel, np.full(patches, level)
         made._solve(values, told)
+        made._calibrate(values)
         return made
 
     def to_state(self) -> dict[str, np.ndarray[Any, Any]]:
@@ -320,6 +329,32 @@ class Partition:
         batches = [order[start : start + BATCH] for start in range(0, len(order), BATCH)]
         parallel(work, batches, tick=lambda fraction: tick("solve", fraction))
 
+    def _calibrate(self, values: FloatArray) -> None:
+        """Factor and detail from the leave-one-out residuals in the cells of a sample of patches."""
+        sample = np.random.default_rng(0).permutation(len(self))[:CHECKED]
+        levels = Levels(self.kernel)
+
+        def left_out(patch: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+            points, slots, _ = self._batch(np.array([patch]))
+            members = self.members[slots[0]]
+            matrix = levels.matrix(points, points)[0]
+            matrix[np.diag_indices(len(matrix))] += self.smoothing[patch] / self.weights[members]
+            inverse = np.linalg.inv(matrix)
+            one = inverse.sum(axis=1)
+            diagonal = np.maximum(np.diag(inverse) - one**2 / one.sum(), local.TINY)
+            amplitude = np.maximum(self.amplitude[patch], local.TINY)
+            ratios = self.coefficients[slots[0]] / np.sqrt(diagonal)[:, None] / amplitude
+            places = self.u[members]
+            mine = np.all(np.abs(places - self.cover.centres[patch]) <= self.cover.sides[patch] / 2, axis=1)
+            return places[mine], ratios[mine], np.broadcast_to(self.smoothing[patch] * amplitude**2, ratios.shape)[mine]
+
+        found = parallel(left_out, sample.tolist())
+        places, ratios, smoothed = (np.concatenate(part) for part in zip(*found, strict=True))
+        self.factor, self.detail = calibration.factor(ratios), np.ones(values.shape[1])
+        noisy = np.median(smoothed, axis=0) > calibration.DETAIL * values.var(axis=0)
+        if noisy.any():
+            self.detail[noisy] = 1 - calibration.noise_share(places, ratios)[noisy]
+
     def predict_grid(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Values on a grid, shape (len(y), len(x), k): patch by patch, each a matrix product.
 
@@ -366,8 +401,9 @@ class Partition:
             one = inverse @ real[:, :, None].astype(np.float64)
             gap = 1 - (one.transpose(0, 2, 1) @ half)[:, 0]
             variance = 1 - np.square(half).sum(axis=1) + gap**2 / np.square(one).sum(axis=1)
-            variance = np.maximum(variance, 0.0)
-            return np.asarray(np.sqrt(variance)[:, :, None] * self.amplitude[patches, None])
+            detail = self.smoothing[patches, None, None] * self.detail
+            deviation = np.sqrt(np.maximum(variance, 0.0)[:, :, None] + detail)
+            return np.asarray(self.factor * self.amplitude[patches, None] * deviation)
 
         blended, _ = self._blended(X, self.amplitude.shape[1], deviations)
         return blended
@@ -518,7 +554,10 @@ class Partition:
         return pieces
 
 
-_ARRAYS = ("u", "weights", "starts", "members", "spacings", "smoothing", "coefficients", "bias", "amplitude")
+_ARRAYS = (
+    *("u", "weights", "starts", "members", "spacings"),
+    *("smoothing", "coefficients", "bias", "amplitude", "factor", "detail"),
+)
 
 
 def _floor(n: int) -> float:

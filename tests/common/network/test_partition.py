@@ -72,6 +72,17 @@ def test_a_grid_holds_what_scattered_evaluation_gives(surface: Partition) -> Non
     np.testing.assert_allclose(surface.predict_grid(x[shuffled], y[::-1]), grid[::-1, shuffled], atol=1e-8)
 
 
+@pytest.mark.parametrize(("f", "noise"), [(sine, 0.0), (bowl, 0.0), (rough, 0.0), (sine, 0.05), (bowl, 0.05)])
+def test_the_band_covers_the_truth(f: Callable[[FloatArray], FloatArray], noise: float) -> None:
+    shares = []
+    for seed in range(2):
+        X, Q = scattered(5000, seed), scattered(2000, 10 + seed)
+        y = f(X) + noise * np.ptp(f(X)) * np.random.default_rng(seed).normal(size=len(X))
+        fitted = Partition.fit(X, y[:, None])
+        shares.append(np.mean(np.abs(fitted.predict(Q)[:, 0] - f(Q)) <= 1.96 * fitted.predict_std(Q)[:, 0]))
+    assert 0.9 <= np.mean(shares) <= 0.98
+
+
 def test_the_seam_is_invisible(surface: Partition) -> None:
     """Steps of height, slope and curvature along a line are no greater where patches begin and end than elsewhere."""
     cover, frame = surface.cover, surface.cover.frame
