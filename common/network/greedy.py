@@ -21,9 +21,9 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
-import scipy.linalg
 
 from common.errors import ParameterError
+from common.network import lapack
 from common.network.threads import single_threaded_blas
 from common.surface import FloatArray, IntArray
 
@@ -215,6 +215,8 @@ class _Basis:
         """Below it the squared power function is rounding."""
         self.newton = np.empty((min(limit, 64), n))
         self.ortho = np.empty((min(limit, 64), n + (limit if self.penalty else 0)))
+        self.upper = np.zeros((len(self.newton), len(self.newton)))
+        """R of V' = Q' R, V the Newton functions and Q the orthonormal basis."""
         self.residual = np.zeros((self.ortho.shape[1], y.shape[1]))
         self.residual[:n] = y if self.root is None else y * self.root[:, None]
         self.target = self.residual[:n].copy()
@@ -316,18 +318,24 @@ class _Basis:
         )
         if self.penalty:
             fresh[np.arange(len(fresh)), n + np.arange(start, self.count)] = self.penalty
-        old = self.ortho[:start]
+        old, own = self.ortho[:start], np.eye(len(fresh))
         for _ in range(2):
             before = np.linalg.norm(fresh, axis=1)
             if start:
-                fresh -= (fresh @ old.T) @ old
+                shares = fresh @ old.T
+                fresh -= shares @ old
+                self.upper[:start, start : self.count] += shares.T @ own
             after = np.linalg.norm(fresh, axis=1)
             if len(fresh) == 1:
-                fresh /= after[0] or 1.0
+                length = float(after[0]) or 1.0
+                fresh /= length
+                own = length * own
             elif len(fresh):
-                fresh[:] = np.linalg.qr(fresh.T)[0].T
+                basis, triangle = np.linalg.qr(fresh.T)
+                fresh[:], own = basis.T, triangle @ own
             if np.all(after > 0.1 * before):
                 break
+        self.upper[start : self.count, start : self.count] = own
         self.residual -= fresh.T @ (fresh @ self.residual)
 
     def _reserve(self, rows: int) -> None:
@@ -335,9 +343,11 @@ class _Basis:
         for name in ("newton", "ortho"):
             held = getattr(self, name)
             if rows > len(held):
-                grown = np.empty((min(self.limit, max(rows, 2 * len(held))), held.shape[1]))
+                size = min(self.limit, max(rows, 2 * len(held)))
+                grown = np.empty((size, held.shape[1]))
                 grown[: self.count] = held[: self.count]
                 setattr(self, name, grown)
+                self.upper = np.pad(self.upper, (0, size - len(self.upper)))
 
     def coefficients(self) -> FloatArray:
         """Of the kernel at the centres, shape (count, k)."""
@@ -346,13 +356,7 @@ class _Basis:
         triangle = newton[:, self.chosen[:m]].T
         if m == n and not self.penalty:
             right = self.target if self.root is None else self.target / self.root[:, None]
-            inner = scipy.linalg.solve_triangular(triangle, right[self.chosen], lower=True, check_finite=False)
+            inner = lapack.solve_lower(triangle, right[self.chosen])
         else:
-            # With the orthonormal rows Q, V' = Q' R; R is the product of both, upper triangular.
-            columns = newton if self.root is None else newton * self.root
-            ortho = self.ortho[:m]
-            upper = ortho[:, :n] @ columns.T
-            if self.penalty:
-                upper += self.penalty * ortho[:, n : n + m]
-            inner = scipy.linalg.solve_triangular(np.triu(upper), ortho[:, :n] @ self.target, check_finite=False)
-        return np.asarray(scipy.linalg.solve_triangular(triangle, inner, lower=True, trans=1, check_finite=False))
+            inner = lapack.solve_lower(self.upper[:m, :m].T, self.ortho[:m, :n] @ self.target, transposed=True)
+        return lapack.solve_lower(triangle, inner, transposed=True)

@@ -86,13 +86,12 @@ def solve(factor: FloatArray, right: FloatArray) -> FloatArray:
     return solved
 
 
-def solve_lower(factor: FloatArray, right: FloatArray) -> FloatArray:
-    """L^-1 B for a factor of `cholesky` and B (n,) or (n, k)."""
+def solve_lower(factor: FloatArray, right: FloatArray, *, transposed: bool = False) -> FloatArray:
+    """L^-1 B, or L^-T B, for L in the lower triangle of a matrix (n, n) and B (n,) or (n, k)."""
     side, lower = _side(factor), np.asfortranarray(factor)
     solved, columns = _right(factor, right)
-    _call(
-        cython_blas, "dtrsm", b"L", b"L", b"N", b"N", len(factor), columns, 1.0, lower, side, solved, side
-    )  # fmt: skip
+    turn = b"T" if transposed else b"N"
+    _call(cython_blas, "dtrsm", b"L", b"L", turn, b"N", len(factor), columns, 1.0, lower, side, solved, side)
     return solved
 
 

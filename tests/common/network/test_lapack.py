@@ -29,6 +29,8 @@ def test_the_four_steps_are_scipy_s(n: int, order: str) -> None:
         right = np.random.default_rng(1).normal(size=shape)
         np.testing.assert_allclose(matrix @ lapack.solve(factor, right), right, atol=1e-10)
         np.testing.assert_allclose(np.tril(factor) @ lapack.solve_lower(factor, right), right, atol=1e-10)
+        turned = lapack.solve_lower(factor, right, transposed=True)
+        np.testing.assert_allclose(np.tril(factor).T @ turned, right, atol=1e-10)
     np.testing.assert_allclose(lapack.inverse_diagonal(factor), np.diag(np.linalg.inv(matrix)), rtol=1e-10)
     np.testing.assert_array_equal(factor, kept)
 
