@@ -1,4 +1,4 @@
-"""Cholesky's four steps without holding the interpreter.
+"""Cholesky's steps without holding the interpreter.
 
 `scipy.linalg.lapack` and `scipy.linalg.solve_triangular` keep the global interpreter lock while they work (a second for
 a matrix of 4,000), and with it every other thread: a service that trains in a thread would stand still. These call the
@@ -108,6 +108,48 @@ def inverse_diagonal(factor: FloatArray) -> FloatArray:
         corner, below = np.tril(inverted[start:stop, start:stop]), inverted[stop:, start:stop]
         diagonal[start:stop] = np.einsum("ij,ij->j", corner, corner) + np.einsum("ij,ij->j", below, below)
     return diagonal
+
+
+def cholesky_each(matrices: FloatArray) -> bool:
+    """Factorise symmetric matrices (p, n, n) in place, each from its lower triangle to its factor's.
+
+    For many small matrices: what numpy spends on copies is as much as their factorisation. Rows are what LAPACK takes
+    for columns, so a lower triangle is an upper one there. False where a matrix is not positive definite; it and those
+    behind it are spoilt then.
+    """
+    p, n, _ = _rows_first(matrices).shape
+    if matrices.shape[2] != n:
+        raise ValueError(f"square matrices are needed, got the shape {matrices.shape}")
+    routine, integer = _routine(cython_lapack, "dpotrf")
+    side, order, info = integer(max(1, n)), integer(n), integer(0)
+    upper = ctypes.create_string_buffer(b"U")
+    at = [ctypes.addressof(value) for value in (upper, order, side, info)]
+    first = matrices.ctypes.data
+    for i in range(p):
+        routine(at[0], at[1], first + 8 * i * n * n, at[2], at[3])
+        if info.value:
+            return False
+    return True
+
+
+def solve_lower_each(factors: FloatArray, right: FloatArray, *, transposed: bool = False) -> None:
+    """L^-1 b, or L^-T b, in place of every row b of `right` (p, m, n), for what `cholesky_each` left in (p, n, n)."""
+    p, m, n = _rows_first(right).shape
+    if _rows_first(factors).shape != (p, n, n):
+        raise ValueError(f"factors of the shape {(p, n, n)} are needed, got {factors.shape}")
+    routine, integer = _routine(cython_blas, "dtrsm")
+    flags = [ctypes.create_string_buffer(flag) for flag in (b"L", b"U", b"N" if transposed else b"T", b"N")]
+    sizes = integer(n), integer(m), ctypes.c_double(1.0), integer(max(1, n))
+    at = [ctypes.addressof(value) for value in (*flags, *sizes)]
+    first, then = factors.ctypes.data, right.ctypes.data
+    for i in range(p):
+        routine(*at[:7], first + 8 * i * n * n, at[7], then + 8 * i * m * n, at[7])
+
+
+def _rows_first(arrays: FloatArray) -> FloatArray:
+    if arrays.ndim != 3 or arrays.dtype != np.float64 or not arrays.flags.c_contiguous:
+        raise ValueError(f"a C-ordered stack of float64 matrices is needed, got the shape {arrays.shape}")
+    return arrays
 
 
 _STRIP = 128

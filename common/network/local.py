@@ -9,19 +9,17 @@ from __future__ import annotations
 
 import numpy as np
 
+from common.network import lapack
 from common.network.kernel import Kernel
 from common.surface import FloatArray
 
-CACHED = 1 << 17
-"""Kernel values worked on at once: 1 MiB, about what a core's cache holds."""
+CACHED = 1 << 16
+"""Kernel values worked on at once: 512 KiB, about what a core's cache holds."""
 
 FAR = 1e7
 """Distance of the padding, in mean spacings; each padded point has its own."""
 
 TINY = float(np.finfo(np.float64).tiny)
-
-BLOCK = 20
-"""Rows of a back substitution whose effect on the others is one matrix product."""
 
 _SQUARINGS = 8
 """Levels taken by squaring before a fresh exponential: each squaring doubles the relative rounding error."""
@@ -111,14 +109,14 @@ def squared_distances(a: FloatArray, b: FloatArray, out: FloatArray | None = Non
     return np.matmul(left, right, out=out)
 
 
-def gram(points: FloatArray, diagonal: FloatArray, levels: Levels, extra: int = 0) -> FloatArray:
-    """Lower triangles of K + diag, shape (p, k + extra, k + extra), of points (p, k, 2) and diagonals (p, k).
+def gram(points: FloatArray, diagonal: FloatArray, levels: Levels) -> FloatArray:
+    """Lower triangles of K + diag, shape (p, k, k), of points (p, k, 2) and diagonals (p, k).
 
-    What is above the diagonal is not to be read; the extra rows and columns are left unset.
+    What is above the diagonal is not to be read.
     """
     p, k, _ = points.shape
-    matrix = np.zeros((p, k + extra, k + extra))
-    strips = 4 if k >= 32 else 1
+    matrix = np.zeros((p, k, k))
+    strips = max(1, k // 16)
     for strip in range(strips):
         top, bottom = k * strip // strips, k * (strip + 1) // strips
         matrix[:, top:bottom, :bottom] = levels.matrix(points[:, top:bottom], points[:, :bottom])
@@ -127,46 +125,27 @@ def gram(points: FloatArray, diagonal: FloatArray, levels: Levels, extra: int = 
     return matrix
 
 
-def solve(matrix: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """K^-1 B by Cholesky, and B' K^-1 B.
-
-    The right sides are appended to the matrix as rows, so the factorisation substitutes forward by itself; numpy has no
-    batched triangular solve.
+def solve(matrix: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """K^-1 B by Cholesky, and B' K^-1 B; None where a matrix of the batch is not positive definite.
 
     Parameters
     ----------
-    matrix : ndarray, shape (p, k + m, k + m)
-        Lower triangles; the last m rows and columns are overwritten.
+    matrix : ndarray, shape (p, k, k)
+        Lower triangles; overwritten.
     right : ndarray, shape (p, m, k)
 
     Returns
     -------
     solution : ndarray, shape (p, m, k)
     inner : ndarray, shape (p, m, m)
-    log_det : ndarray, shape (p,)
-        Logarithm of the determinant of K.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If a matrix of the batch is not positive definite.
     """
-    m, k = right.shape[1:]
-    matrix[:, k:, :k] = right
-    matrix[:, k:, k:] = 1e200 * np.eye(m)
-    factor = np.linalg.cholesky(matrix)
-    forward = factor[:, k:, :k]
-    inner = forward @ forward.transpose(0, 2, 1)
-    diagonal = factor[:, np.arange(k), np.arange(k)]
-    log_det = 2 * np.log(diagonal).sum(axis=1)
-    solution = forward.copy()
-    for end in range(k, 0, -BLOCK):
-        start = max(0, end - BLOCK)
-        for row in range(end - 1, start - 1, -1):
-            solution[:, :, row] /= diagonal[:, row, None]
-            solution[:, :, start:row] -= solution[:, :, row, None] * factor[:, None, row, start:row]
-        solution[:, :, :start] -= solution[:, :, start:end] @ factor[:, start:end, :start]
-    return np.asarray(solution), np.asarray(inner), np.asarray(log_det)
+    if not lapack.cholesky_each(matrix):
+        return None
+    solution = right.copy()
+    lapack.solve_lower_each(matrix, solution)
+    inner = solution @ solution.transpose(0, 2, 1)
+    lapack.solve_lower_each(matrix, solution, transposed=True)
+    return solution, inner
 
 
 def scores(grams: FloatArray, y: FloatArray, weights: FloatArray, smoothings: FloatArray) -> FloatArray:

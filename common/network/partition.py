@@ -57,10 +57,10 @@ TILE = 64
 QUERIES = 256
 """Most scattered positions that a patch evaluates at once."""
 
-FEW, MORE = 16, 96
+FEW, MORE = 16, 64
 """Patches that sort the kernels out, and most patches that choose among the likely ones; a quarter of all is enough."""
 
-LIKELY = 4
+LIKELY = 3
 """Kernels that more patches choose from."""
 
 CHECKED = 96
@@ -310,15 +310,13 @@ class Partition:
                 right[:, 1 + k] = np.where(real, y - middle[:, k, None], 0.0)
             for _ in range(_RAISES):
                 diagonal = self.smoothing[patches, None] / np.where(real, self.weights[rows], 1.0)
-                matrix = local.gram(points, diagonal, levels, extra=1 + outputs)
-                try:
-                    solution, inner, _ = local.solve(matrix, right)
-                except np.linalg.LinAlgError:
-                    self.smoothing[patches] = 10 * np.maximum(self.smoothing[patches], _floor(points.shape[1]))
-                else:
+                solved = local.solve(local.gram(points, diagonal, levels), right)
+                if solved is not None:
                     break
+                self.smoothing[patches] = 10 * np.maximum(self.smoothing[patches], _floor(points.shape[1]))
             else:
                 raise TrainingError("the kernel matrix of a patch is not positive definite, whatever the smoothing")
+            solution, inner = solved
             bias = inner[:, 0, 1:] / inner[:, 0, :1]
             quadratic = np.diagonal(inner, axis1=1, axis2=2)[:, 1:] - bias * inner[:, 0, 1:]
             self.amplitude[patches] = np.sqrt(np.maximum(quadratic, 0.0) / np.maximum(real.sum(axis=1) - 1, 1)[:, None])

@@ -43,6 +43,27 @@ def test_the_same_bits_as_scipy() -> None:
     np.testing.assert_array_equal(factor, expected)
 
 
+@pytest.mark.parametrize("n", [0, 1, 5, 60])
+def test_many_small_matrices_in_place(n: int) -> None:
+    matrices = np.stack([(i + 1) * positive(n) for i in range(3)])
+    right = np.random.default_rng(0).normal(size=(3, 2, n))
+    factors, solved = matrices.copy(), right.copy()
+    assert lapack.cholesky_each(factors)
+    lapack.solve_lower_each(factors, solved)
+    lapack.solve_lower_each(factors, solved, transposed=True)
+    for i in range(3):
+        np.testing.assert_allclose(np.tril(factors[i]), np.linalg.cholesky(matrices[i]), rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(solved[i] @ matrices[i], right[i], atol=1e-10)
+    with pytest.raises(ValueError, match="stack"):
+        lapack.cholesky_each(np.zeros((2, 4, 4)).transpose(0, 2, 1))
+    with pytest.raises(ValueError, match="factors"):
+        lapack.solve_lower_each(factors, np.zeros((3, 2, n + 1)))
+
+
+def test_a_stack_with_one_indefinite_matrix_has_no_factors() -> None:
+    assert not lapack.cholesky_each(np.stack([np.eye(2), np.diag([1.0, -1.0])]))
+
+
 def test_what_is_not_positive_definite_has_no_factor() -> None:
     assert lapack.cholesky(np.diag([1.0, -1.0])) is None
     assert lapack.cholesky(np.zeros((3, 3))) is None
