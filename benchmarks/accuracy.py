@@ -20,7 +20,7 @@ from benchmarks import terrain
 from common.metrics import nrmse, rmse
 from common.network import NetworkWarning, RBFNetwork
 from common.network.kernel import ladder_spreads, mean_spacing
-from common.network.selection import SMOOTHINGS, Candidate, Samples, Spectra, families, rounding_floor, score
+from common.network.selection import SMOOTHINGS, TRUST, Samples, Spectra, families, rounding_floor, score
 from common.surface import FloatArray
 from sender.features import extract_features
 from sender.surfaces import SURFACES
@@ -108,7 +108,7 @@ def _by_criterion(X: FloatArray, y: FloatArray, Q: FloatArray, z: FloatArray) ->
     samples = Samples((X - origin) / unit, ((y - level) / height)[:, None], np.ones(len(X)))
     extent = float(np.ptp(samples.X, axis=0).max())
     spreads = ladder_spreads(mean_spacing(samples.X), 2 * extent)
-    kernels = [Candidate(f, p, 0.0).kernel(spreads) for f, p in families(spreads, extent)]
+    kernels = [kind.kernel(spreads) for kind in families(spreads, extent)]
     smoothings = SMOOTHINGS[rounding_floor(len(X)) <= SMOOTHINGS]
     spectra = Spectra(np.array([kernel.gram(samples.X) for kernel in kernels]), samples)
     restricted, density, _ = spectra.criteria(smoothings)
@@ -144,8 +144,8 @@ def _by_criterion(X: FloatArray, y: FloatArray, Q: FloatArray, z: FloatArray) ->
         ("average by likelihood", heights(soft(restricted))),
         ("average by likelihood^1/2, square^-n/4", heights(soft(mixed))),
         ("average by leave-one-out density", heights(soft(density))),
-        ("average by likelihood^0.2, density^0.4", heights(soft(0.2 * restricted + 0.4 * density))),
-        ("the same, leaning to smoothing (used)", heights(soft(score(len(X), restricted, density, smoothings)))),
+        (f"average by density^{TRUST}", heights(soft(TRUST * density))),
+        ("the same, some noise believed in (used)", heights(soft(score(len(X), density, smoothings)))),
         ("the best candidate in hindsight", heights(hard(errors))),
     ]
 

@@ -67,11 +67,11 @@ def calibrated(X: FloatArray, fit: Fit) -> Calibration:
         own = Dense(fit.kernel.gram(X), fit.weights, fit.smoothing)
         deviations = np.sqrt(fit.variance * own.leave_one_out(np.zeros((len(X), 1)))[1])
     ratios = fit.residuals / np.maximum(deviations, TINY)[:, None]
+    scale = factor(ratios)
     smoothed = fit.smoothing * fit.variance
     detail = np.full(outputs, smoothed)
     if smoothed > DETAIL:
-        detail = np.maximum(0.0, smoothed * (1 - noise_share(X, ratios)))
-    scale = factor(ratios)
+        detail = smoothed * (1 - noise_share(X, ratios / np.maximum(scale, TINY)))
     return Calibration(scale, scale**2 * detail)
 
 

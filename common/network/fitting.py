@@ -18,7 +18,7 @@ from common.network.calibration import calibrated
 from common.network.expansion import Expansion
 from common.network.kernel import ladder_spreads, mean_spacing, nearest_distance
 from common.network.partition import Partition
-from common.network.selection import SMOOTHINGS, Family, Fit, Samples, blend, families, rounding_floor
+from common.network.selection import SMOOTHINGS, Fit, Kind, Samples, blend, families, rounding_floor
 from common.network.threads import single_threaded_blas
 from common.surface import FloatArray, IntArray
 
@@ -35,6 +35,9 @@ TELLING = 10
 
 NOISY = 1e-4
 """Smoothing from which the points are taken for noisy, in their positions, too."""
+
+MOVED = 2.5
+"""Odds beforehand that noisy points are noisy in their positions, too, over that only their heights are."""
 
 BEYOND = 3.0
 """Half ranges about the middle of the values that a surface may reach between its points."""
@@ -120,18 +123,13 @@ def _chosen(samples: Samples, wanted: Wanted, tick: Tick, *, quick: bool = False
     """
     extent = float(np.ptp(samples.X, axis=0).max()) or 1.0
     spreads = ladder_spreads(mean_spacing(samples.X) or 1.0, 2 * extent)
-    kinds: list[tuple[Family, float]]
     if wanted.spread is None:
         kinds = families(spreads, extent)
     else:
         given = _given(samples, wanted)
-        spreads, kinds = np.array([given]), [("single", given)]
+        spreads, kinds = np.array([given]), [Kind("single", given)]
     if like is not None:
-        shared = {
-            (c.family, c.parameter)
-            for c, share in zip(like.scored.candidates, like.scored.shares, strict=True)
-            if share
-        }
+        shared = {c.kind for c, share in zip(like.scored.candidates, like.scored.shares, strict=True) if share}
         kinds = [kind for kind in kinds if kind in shared]
     floor = rounding_floor(len(samples))
     chosen = wanted.smoothing
@@ -158,7 +156,8 @@ def _select(samples: Samples, wanted: Wanted, tick: Tick, *, quick: bool = False
         return fit
     weights = 1 / (1 + steepness / steepness.mean())
     weights *= samples.weights / np.exp(np.mean(np.log(weights)))
-    return blend([fit, _chosen(replace(samples, weights=weights), wanted, tick, like=fit)])
+    moved = _chosen(replace(samples, weights=weights), wanted, tick, like=fit)
+    return blend([fit, moved], [1.0, MOVED])
 
 
 def _given(samples: Samples, wanted: Wanted) -> float:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from common.network.dense import Dense
 from common.network.kernel import LADDER_STEP, squared_distances, sum_of_levels
@@ -19,6 +20,7 @@ from common.network.selection import (
     Candidate,
     Family,
     Fit,
+    Kind,
     Samples,
     Scored,
     Solution,
@@ -28,7 +30,7 @@ from common.network.selection import (
     score,
 )
 from common.network.threads import parallel
-from common.surface import FloatArray
+from common.surface import FloatArray, IntArray
 
 AVERAGED = 250
 """Points up to which every candidate is decomposed."""
@@ -39,8 +41,14 @@ RANKED = 150
 CLIMBED = 600
 """Points on which spread and smoothing are settled where there are more."""
 
+NEIGHBOURHOODS = 8
+"""Neighbourhoods that those points come from: as dense as all points are, or what is rough would pass for noise."""
+
 TRIALS = 14
 """Candidates that a search may factorise."""
+
+AFFORDED = 1000
+"""Points up to which a search on all of them may factorise so many; beyond, fewer by the cube of their number."""
 
 _SMOOTHING_STEP = 10**0.5
 _LOG_STEP = float(np.log(_SMOOTHING_STEP))
@@ -57,7 +65,7 @@ FARTHEST = 2.0
 
 def fit(
     samples: Samples,
-    kinds: Sequence[tuple[Family, float]],
+    kinds: Sequence[Kind],
     spreads: FloatArray,
     smoothings: FloatArray,
     tick: Callable[[float], None],
@@ -74,14 +82,30 @@ def fit(
     order = np.random.default_rng(0).permutation(n)
     few = samples.take(np.sort(order[:RANKED]))
     free = _Free(kernel=len(kinds) > 1, smoothing=len(smoothings) > 1)
-    coarse = [kind for kind in kinds if kind[0] != "single" or len(kinds) == 1 or kind[1] in spreads]
+    coarse = [
+        kind
+        for kind in kinds
+        if len(kinds) == 1
+        or (kind.family != "single" and kind.reach == np.inf)
+        or (kind.family == "single" and kind.parameter in spreads)
+    ]
     starts = _starts(average(few, coarse, spreads, smoothings, lambda share: tick(0.2 * share)).scored)
     if n > CLIMBED and not quick:
-        some = samples.take(np.sort(order[:CLIMBED]))
+        some = samples.take(_neighbourhoods(samples.X, order))
         search = _Search(some, spreads, TRIALS, lambda share: tick(0.2 + 0.4 * share))
         starts = [search.climb(starts, free).scored.best]
-    budget = 1 if quick or n > CLIMBED else TRIALS
+    budget = 1 if quick else max(1, min(TRIALS, round(TRIALS * (AFFORDED / n) ** 3)))
     return _Search(samples, spreads, budget, lambda share: tick(0.6 + 0.4 * share)).climb(starts, free)
+
+
+def _neighbourhoods(X: FloatArray, order: IntArray) -> IntArray:
+    """`CLIMBED` rows of X (n, d): the neighbourhoods of the first points in the given order (n,)."""
+    tree, size = KDTree(X), CLIMBED // NEIGHBOURHOODS
+    rows = tree.query(X[order[:NEIGHBOURHOODS]], k=size)[1]
+    found = np.unique(rows)
+    # Where neighbourhoods overlap the points that are missing come from anywhere.
+    rest = order[~np.isin(order, found)]
+    return np.sort(np.concatenate([found, rest[: CLIMBED - len(found)]]))
 
 
 class _Search:
@@ -148,7 +172,7 @@ class _Search:
         scored = Scored(candidates, *(np.array([self.tried[p][i] for p in places]) for i in range(3)))
         parts = [(p, share) for p, share in zip(places, scored.shares.tolist(), strict=True) if share]
         solutions = [self.tried[p][3].scaled(share) for p, share in parts]
-        kernels = [p.candidate.kernel(self.spreads) for p, _ in parts]
+        kernels = [p.candidate.kind.kernel(self.spreads) for p, _ in parts]
         return combine(scored, kernels, solutions, self.spreads, self.samples.weights)
 
 
@@ -156,8 +180,9 @@ def _starts(ranked: Scored) -> list[Candidate]:
     """The best of each family that is not far behind, best first."""
     best: dict[Family, tuple[float, Candidate]] = {}
     for candidate, value in zip(ranked.candidates, ranked.scores.tolist(), strict=True):
-        if candidate.family not in best or value < best[candidate.family][0]:
-            best[candidate.family] = (value, candidate)
+        family = candidate.kind.family
+        if family not in best or value < best[family][0]:
+            best[family] = (value, candidate)
     ordered = sorted(best.values(), key=lambda pair: pair[0])
     return [candidate for value, candidate in ordered if value - ordered[0][0] < _BEHIND]
 
@@ -187,11 +212,12 @@ class _Place:
     @classmethod
     def of(cls, candidate: Candidate) -> _Place:
         """The place of a candidate."""
-        if candidate.family == "ladder":
-            kernel = float(np.interp(candidate.parameter, ROUGHNESS, np.arange(len(ROUGHNESS))))
+        kind = candidate.kind
+        if kind.family == "ladder":
+            kernel = float(np.interp(kind.parameter, ROUGHNESS, np.arange(len(ROUGHNESS))))
         else:
-            kernel = float(np.log(candidate.parameter) / np.log(LADDER_STEP))
-        return cls(candidate.family, (round(kernel, 6), round(float(np.log(candidate.smoothing) / _LOG_STEP), 6)))
+            kernel = float(np.log(kind.parameter) / np.log(LADDER_STEP))
+        return cls(kind.family, (round(kernel, 6), round(float(np.log(candidate.smoothing) / _LOG_STEP), 6)))
 
     @property
     def candidate(self) -> Candidate:
@@ -201,7 +227,7 @@ class _Place:
             parameter = float(np.interp(kernel, np.arange(len(ROUGHNESS)), ROUGHNESS))
         else:
             parameter = LADDER_STEP**kernel
-        return Candidate(self.family, parameter, _SMOOTHING_STEP**smoothing)
+        return Candidate(Kind(self.family, parameter), _SMOOTHING_STEP**smoothing)
 
     def within(self, other: _Place, steps: float) -> bool:
         """Whether the other place is no further off than so many steps on either axis."""
@@ -212,12 +238,12 @@ def _solve(
     samples: Samples, candidate: Candidate, spreads: FloatArray, r2: FloatArray
 ) -> tuple[float, float, float, Solution, float]:
     """Score, signal variance, restricted nll and network of one candidate on all samples."""
-    kernel = candidate.kernel(spreads)
+    kernel = candidate.kind.kernel(spreads)
     dense = Dense(sum_of_levels(r2, kernel.spreads, kernel.amplitudes), samples.weights, candidate.smoothing)
     coefficients, bias = dense.solve(samples.y)
     restricted, variance = dense.restricted(samples, coefficients)
     residuals, spread = dense.leave_one_out(coefficients)
     own = np.mean(residuals**2 / spread[:, None])
     left_out = 0.5 * samples.y.shape[1] * float(len(samples) * np.log(own) + np.log(spread).sum())
-    value = float(score(len(samples), np.array(restricted), np.array(left_out), np.array(dense.smoothing)))
+    value = float(score(len(samples), np.array(left_out), np.array(dense.smoothing)))
     return value, variance, restricted, Solution(coefficients, bias, residuals, spread), dense.smoothing

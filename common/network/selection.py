@@ -5,7 +5,9 @@ points, b the bias. Three families of kernels, each with one parameter, share on
 
 - *single*: one Gaussian, for surfaces that are infinitely smooth; the parameter is its spread.
 - *multiquadric*: (1 + r^2 / l^2)^(-1/4) as a scale mixture of Gaussians, for smooth surfaces with a peak; l.
-- *ladder*: amplitudes s^(2H), for rough surfaces; the roughness H.
+- *ladder*: amplitudes s^(2H) exp(-H s^2 / L^2), for rough surfaces; the roughness H, and a reach L, infinite or not.
+  With a reach it is the Matern kernel of order H: its spectral density is a mixture of Gaussians whose s^2 follow a
+  gamma distribution (Rasmussen and Williams 2006, section 4.2.1).
 
 One eigendecomposition of W^1/2 K W^1/2 gives two criteria for every smoothing at once:
 
@@ -14,17 +16,19 @@ One eigendecomposition of W^1/2 K W^1/2 gives two criteria for every smoothing a
   variances 1 / P_ii (Rippa 1999), P the inverse with the bias projected out, so that the bias, too, is fitted without
   the point.
 
-REML is sure of itself where the kernel is wrong, leaving one out is easily misled by a few noisy points. Candidates are
-averaged with weights exp(-0.2 nll_REML - 0.4 nll_LOO) lambda^0.5: both criteria at less than full strength, and a mild
-preference for smoothing, lambda below 0.001 counting as 0.001. Candidates share their centres, so the average is one
-network again: coefficients per spread add up. docs/network.md has the table behind the three numbers.
+Candidates are averaged with weights exp(-0.7 nll_LOO) lambda: the leave-one-out density at less than full strength,
+since few points tell less than it claims, and noise-to-signal ratios lambda between 0.0003 and 0.1 held for equally
+likely beforehand (on a logarithmic scale a flat density is lambda). Candidates share their centres, so the average is
+one network again: coefficients per spread add up. REML, which is sure of itself even where no kernel is right, serves
+to compare readings of the data (`common.network.robust`). docs/network.md has the table behind the choice.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import scipy.linalg
@@ -37,18 +41,24 @@ from common.surface import FloatArray, IntArray
 Family: TypeAlias = Literal["single", "multiquadric", "ladder"]
 
 ROUGHNESS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
-SMOOTHINGS: FloatArray = np.logspace(-13, 0, 27)
-EVIDENCE, LEAVE_ONE_OUT, LEANING = 0.2, 0.4, 0.5
-"""Exponents of the restricted likelihood, the leave-one-out density and the smoothing in a candidate's weight."""
+ORDERS = (0.5, 1.0, 2.0, 4.0)
+"""Roughnesses of the ladders that have a reach."""
 
-LEAST_NOISE = 1e-3
-"""Smoothings below it are all the same to the preference for smoothing."""
+REACHES = (0.25, 0.5, 1.0)
+"""Reaches that are tried, as shares of the longest side of the points."""
+
+SMOOTHINGS: FloatArray = np.concatenate([np.logspace(-13, -7, 7), np.logspace(-6, 0, 13)])
+TRUST = 0.7
+"""Exponent of the leave-one-out density in a candidate's weight."""
+
+LIKELY = (3e-4, 0.1)
+"""Smoothings that are held for equally likely beforehand; below and above them it is their logarithms that are."""
 
 FEW = 30
-"""Points below which the preference for smoothing fades: three points are worth little, but all there is."""
+"""Points below which that belief fades: three points are worth little, but all there is."""
 
-NEGLIGIBLE = 1e-3
-"""Candidates of less weight than this share of the heaviest one are left out of the average."""
+NEGLIGIBLE = 0.03
+"""Share of the heaviest weight that is taken off every weight, so that those of less fade out of the average."""
 
 TINY = float(np.finfo(np.float64).tiny)
 NOTHING = 1e-30
@@ -99,25 +109,35 @@ class Samples:
         return self.take(np.setdiff1d(np.arange(len(self)), rows)) if len(rows) else self
 
 
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """A kernel of one of the families, by its parameter, and a smoothing."""
+class Kind(NamedTuple):
+    """A kernel of one of the families, by its parameter and, for a ladder, its reach."""
 
     family: Family
     parameter: float
-    smoothing: float
+    reach: float = math.inf
 
     def kernel(self, spreads: FloatArray) -> Kernel:
         """The kernel, a mixture on the ladder of descending spreads, shape (levels,)."""
         if self.family == "single":
             return Kernel.single(self.parameter)
-        return Kernel.mixture(spreads, amplitudes(self.family, self.parameter, spreads))
+        return Kernel.mixture(spreads, amplitudes(self, spreads))
 
 
-def amplitudes(family: Family, parameter: float, spreads: FloatArray) -> FloatArray:
-    """Amplitudes of a mixture on the spreads, shape (levels,), adding up to one."""
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A kernel and a smoothing."""
+
+    kind: Kind
+    smoothing: float
+
+
+def amplitudes(kind: Kind, spreads: FloatArray) -> FloatArray:
+    """Amplitudes of a mixture on the spreads, shape (levels,), adding up to one; zero where negligible."""
+    family, parameter, reach = kind
     if family == "ladder":
-        shares = (spreads / spreads.max()) ** (2 * parameter)
+        logs = 2 * parameter * np.log(spreads) - parameter * (spreads / reach) ** 2
+        shares = np.exp(logs - logs.max())
+        shares[shares < FAINT] = 0
     elif family == "multiquadric":
         # (1 + r^2 / l^2)^(-1/4) is the mean of exp(-t r^2 / l^2) over t of density t^(-3/4) exp(-t); with
         # t = l^2 / 2 s^2 the density on a logarithmic ladder of s is t^(1/4) exp(-t).
@@ -128,19 +148,23 @@ def amplitudes(family: Family, parameter: float, spreads: FloatArray) -> FloatAr
     return np.asarray(shares / shares.sum())
 
 
+FAINT = 1e-10
+"""Amplitudes below this share of the greatest are left out."""
+
 WIDEST: dict[Family, float] = {"single": 0.5, "multiquadric": 0.5}
 """Greatest parameter, as a share of the longest side of the points: beyond it a Gaussian is a polynomial, which fits
 the points and runs away between them."""
 
 
-def families(spreads: FloatArray, extent: float) -> list[tuple[Family, float]]:
-    """Every family with every parameter worth a trial; `spreads` descending, `extent` the points' longest side."""
+def families(spreads: FloatArray, extent: float) -> list[Kind]:
+    """Every kind of kernel worth a trial; `spreads` descending, `extent` the points' longest side."""
     finest = float(spreads.min())
     halved = np.concatenate([spreads, spreads / LADDER_STEP**0.5])
     return [
-        *(("single", s) for s in halved.tolist() if s <= max(finest, WIDEST["single"] * extent)),
-        *(("multiquadric", s) for s in spreads.tolist() if s <= max(finest, WIDEST["multiquadric"] * extent)),
-        *(("ladder", h) for h in ROUGHNESS),
+        *(Kind("single", s) for s in halved.tolist() if s <= max(finest, WIDEST["single"] * extent)),
+        *(Kind("multiquadric", s) for s in spreads.tolist() if s <= max(finest, WIDEST["multiquadric"] * extent)),
+        *(Kind("ladder", h) for h in ROUGHNESS),
+        *(Kind("ladder", h, reach * extent) for h in ORDERS for reach in REACHES if reach * extent > finest),
     ]
 
 
@@ -257,7 +281,7 @@ class Solution:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scored:
-    """Candidates and their scores; the share of a candidate is exp(-score), scaled to add up to one."""
+    """Candidates and their scores; a share is exp(-score) less what is negligible, scaled to add up to one."""
 
     candidates: list[Candidate]
     scores: FloatArray
@@ -267,8 +291,7 @@ class Scored:
     @property
     def shares(self) -> FloatArray:
         """Shape (candidates,); adding up to one, zero where negligible."""
-        shares = np.exp(self.scores.min() - self.scores)
-        shares[shares < NEGLIGIBLE] = 0
+        shares = np.maximum(np.exp(self.scores.min() - self.scores) - NEGLIGIBLE, 0)
         return np.asarray(shares / shares.sum())
 
     @property
@@ -277,15 +300,14 @@ class Scored:
         return self.candidates[int(np.argmin(self.scores))]
 
 
-def score(n: int, restricted: FloatArray, leave_one_out: FloatArray, smoothings: FloatArray) -> FloatArray:
+def score(n: int, leave_one_out: FloatArray, smoothings: FloatArray) -> FloatArray:
     """What a candidate is worth on n points: less is better."""
-    leaning = LEANING * min(1.0, n / FEW)
-    return EVIDENCE * restricted + LEAVE_ONE_OUT * leave_one_out - leaning * np.log(np.maximum(smoothings, LEAST_NOISE))
+    return TRUST * leave_one_out - min(1.0, n / FEW) * np.log(np.clip(smoothings, *LIKELY))
 
 
 def average(
     samples: Samples,
-    kinds: Sequence[tuple[Family, float]],
+    kinds: Sequence[Kind],
     spreads: FloatArray,
     smoothings: FloatArray,
     tick: Callable[[float], None],
@@ -293,7 +315,7 @@ def average(
     """Score every kind of kernel with every smoothing, and average them."""
     r2 = squared_distances(samples.X)
     levels = np.array(level_matrices(r2, spreads))
-    kernels = [Candidate(family, parameter, 0.0).kernel(spreads) for family, parameter in kinds]
+    kernels = [kind.kernel(spreads) for kind in kinds]
     batch = max(1, min(_BATCH // max(1, len(samples) ** 2), -(-len(kinds) // _PARTS)))
 
     def work(start: int) -> tuple[Spectra, tuple[FloatArray, FloatArray, FloatArray]]:
@@ -303,8 +325,8 @@ def average(
     found = parallel(work, range(0, len(kinds), batch), tick=tick)
     spectra = [part for part, _ in found]
     likelihoods, left_out, variances = zip(*(criteria for _, criteria in found), strict=True)
-    scores = [score(len(samples), *both, smoothings) for both in zip(likelihoods, left_out, strict=True)]
-    candidates = [Candidate(family, p, s) for family, p in kinds for s in smoothings.tolist()]
+    scores = [score(len(samples), nll, smoothings) for nll in left_out]
+    candidates = [Candidate(kind, s) for kind in kinds for s in smoothings.tolist()]
     scored = Scored(candidates, *(np.concatenate(part).ravel() for part in (scores, variances, likelihoods)))
     by_kind = scored.shares.reshape(len(kinds), -1)
     used = np.flatnonzero(by_kind.sum(axis=1)).tolist()
@@ -384,7 +406,7 @@ def combine(
         spreads=spreads,
         coefficients=coefficients,
         bias=np.sum([s.bias for s in solutions], axis=0),
-        kernel=scored.best.kernel(ladder),
+        kernel=scored.best.kind.kernel(ladder),
         smoothing=scored.best.smoothing,
         variance=variance,
         residuals=np.sum([s.residuals for s in solutions], axis=0),
@@ -393,13 +415,13 @@ def combine(
     )
 
 
-def blend(fits: Sequence[Fit]) -> Fit:
-    """The average of several fits of the same points, each with the share that its best candidate has."""
-    ordered = sorted(fits, key=lambda fit: float(fit.scored.scores.min()))
-    best = ordered[0]
-    shares = np.exp([best.scored.scores.min() - fit.scored.scores.min() for fit in ordered])
+def blend(fits: Sequence[Fit], odds: Sequence[float]) -> Fit:
+    """The average of several fits of the same points, each with the share that its best candidate has, by the odds."""
+    scores = np.array([fit.scored.scores.min() for fit in fits]) - np.log(odds)
+    shares = np.exp(scores.min() - scores)
     shares /= shares.sum()
-    weighed = list(zip(shares.tolist(), ordered, strict=True))
+    best = fits[int(np.argmax(shares))]
+    weighed = list(zip(shares.tolist(), fits, strict=True))
     spreads, coefficients = _summed(
         [
             (spread, share * c)

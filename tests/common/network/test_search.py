@@ -8,7 +8,7 @@ from threadpoolctl import threadpool_limits
 
 from common.network import RBFNetwork, search, threads
 from common.network.kernel import ladder_spreads, mean_spacing
-from common.network.selection import SMOOTHINGS, Samples, families, rounding_floor
+from common.network.selection import SMOOTHINGS, Kind, Samples, families, rounding_floor
 
 
 def samples(n: int, noise: float) -> Samples:
@@ -27,16 +27,16 @@ def test_a_handful_of_candidates_finds_the_family_and_the_noise(noise: float) ->
     assert len(found.scored.candidates) == len(set(found.scored.candidates)) <= search.TRIALS
     assert all(candidate.smoothing >= 0.999 * rounding_floor(400) for candidate in found.scored.candidates)
     best = found.scored.best
-    assert best.family == "single"
+    assert best.kind.family == "single"
     if noise:
         assert noise**2 / 4 < best.smoothing < 4 * noise**2
 
 
 def test_what_is_given_stays() -> None:
     given = samples(400, 0.1)
-    found = search.fit(given, [("single", 0.5)], np.array([0.5]), SMOOTHINGS[:20], lambda _share: None)
-    assert {round(candidate.parameter, 6) for candidate in found.scored.candidates} == {0.5}
-    found = search.fit(given, [("single", 0.5)], np.array([0.5]), np.array([1e-3]), lambda _share: None)
+    found = search.fit(given, [Kind("single", 0.5)], np.array([0.5]), SMOOTHINGS[:20], lambda _share: None)
+    assert {round(candidate.kind.parameter, 6) for candidate in found.scored.candidates} == {0.5}
+    found = search.fit(given, [Kind("single", 0.5)], np.array([0.5]), np.array([1e-3]), lambda _share: None)
     assert [candidate.smoothing for candidate in found.scored.candidates] == pytest.approx([1e-3])
 
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import gamma, kv
 from scipy.stats import multivariate_normal
 
 from common.errors import TrainingError
 from common.network.dense import Dense
 from common.network.kernel import Kernel, ladder_spreads, squared_distances
 from common.network.selection import (
+    LIKELY,
     SMOOTHINGS,
-    Candidate,
+    Kind,
     Samples,
     Spectra,
     _eigenbases,
@@ -116,12 +118,22 @@ def test_repeats_count_as_if_every_measurement_stood_alone() -> None:
 def test_the_multiquadric_family_is_a_multiquadric() -> None:
     spreads = ladder_spreads(0.05, 50.0)
     r = np.linspace(0, 2, 50)
-    kernel = Kernel.mixture(spreads, amplitudes("multiquadric", 0.4, spreads))
+    kernel = Kernel.mixture(spreads, amplitudes(Kind("multiquadric", 0.4), spreads))
     values = kernel.gram(np.zeros((1, 1)), r[:, None])[0]
     wanted = (1 + (r / 0.4) ** 2) ** -0.25
     # The ladder ends, so the widest part of the mixture is missing: a constant, which the bias takes.
     slope, offset = np.polyfit(wanted, values, 1)
     np.testing.assert_allclose(values, slope * wanted + offset, atol=0.01)
+
+
+@pytest.mark.parametrize("order", [0.5, 1.0, 2.0])
+def test_a_ladder_with_a_reach_is_the_matern_kernel(order: float) -> None:
+    spreads = np.geomspace(20.0, 1e-4, 160)
+    r = np.linspace(0.01, 2, 50)
+    kernel = Kernel.mixture(spreads, amplitudes(Kind("ladder", order, 0.6), spreads))
+    scaled = np.sqrt(2 * order) * r / 0.6
+    wanted = 2 ** (1 - order) / gamma(order) * scaled**order * kv(order, scaled)
+    np.testing.assert_allclose(kernel.gram(np.zeros((1, 1)), r[:, None])[0], wanted, atol=2e-3)
 
 
 def test_averaging_sums_coefficients_per_spread() -> None:
@@ -136,7 +148,7 @@ def test_averaging_sums_coefficients_per_spread() -> None:
     expected = np.zeros((9, 1))
     for candidate, share in zip(fit.scored.candidates, fit.scored.shares, strict=True):
         if share:
-            kernel = candidate.kernel(spreads)
+            kernel = candidate.kind.kernel(spreads)
             c, b = Dense(kernel.gram(X), samples.weights, candidate.smoothing).solve(samples.y)
             expected += share * (kernel.gram(at, X) @ c + b)
     found = sum(
@@ -147,13 +159,16 @@ def test_averaging_sums_coefficients_per_spread() -> None:
 
 
 def test_the_score_prefers_smoothing_only_among_noises() -> None:
-    zero = np.zeros(1)
-    tiny, small, large = (float(score(100, zero, zero, np.array([s]))[0]) for s in (1e-12, 1e-3, 1e-1))
-    assert tiny == small > large
+    least, most = LIKELY
+    tiny, small, some, large, huge = score(100, np.zeros(1), np.array([1e-12, least, 2 * least, most, 1.0]))
+    assert tiny == small
+    # A flat density in lambda: twice the smoothing, twice the share.
+    assert small - some == pytest.approx(np.log(2))
+    assert large == huge < some
 
 
-def test_a_candidate_of_one_spread_has_it() -> None:
-    assert Candidate("single", 0.7, 0.0).kernel(np.array([1.0, 0.5])).spreads.tolist() == [0.7]
+def test_a_kind_of_one_spread_has_it() -> None:
+    assert Kind("single", 0.7).kernel(np.array([1.0, 0.5])).spreads.tolist() == [0.7]
 
 
 def test_eigenvalues_are_found_where_divide_and_conquer_fails(monkeypatch: pytest.MonkeyPatch) -> None:
