@@ -1,9 +1,11 @@
 """Wrong points: found by what the network says without them, set aside where that explains the rest better.
 
 A point is suspected where its leave-one-out residual is far off the others', in the deviations that the residuals
-should have. The network is fitted again without the suspects; points that the new network agrees with come back. In the
-end the two readings are compared by their likelihood: all points belong to the surface, or the suspects are drawn from
-anywhere within twice the range of the values. So a peak, which is far off but well explained, stays.
+should have. The network is fitted again without the suspects; points that the new network agrees with come back. A
+closer look then finds wrong points that hide behind the residuals that they cause around them; it is believed where the
+network without them knows the others far better. In the end the two readings are compared by their likelihood: all
+points belong to the surface, or the suspects are drawn from anywhere within twice the range of the values. So a peak,
+which is far off but well explained, stays.
 """
 
 from __future__ import annotations
@@ -31,10 +33,22 @@ MOST = 0.3
 HARMLESS = 0.02
 """Residuals below this share of the values' deviation are never suspected."""
 
+TELLING = 0.5
+"""What a closer look finds is believed where the others' residuals become less than this share of what they were."""
+
+PATIENCE = 2
+"""Rounds of a closer look without that."""
+
 ROUNDS = 10
 
 GLANCE = 5000
 """Points looked at first: where none of them is suspect, the others are not looked at."""
+
+APART = 4.0
+"""Robust deviations from the neighbours beyond which the first network goes without a point."""
+
+WORST = 3.0
+"""Robust deviations beyond which the worst point of all is tried without."""
 
 NEIGHBOURS = 12
 """Nearest points that a value of many is compared with."""
@@ -43,19 +57,41 @@ NEIGHBOURS = 12
 def set_aside(samples: Samples, fit: Fit, refit: Callable[[Samples, bool], Fit]) -> tuple[Fit, IntArray]:
     """The fit without the wrong points, and the rows of those; the given fit and no rows where there are none."""
     n = len(samples)
-    kept = _kept(fit.residuals, fit.deviations)
-    if kept.all() or n < 10:
+    if n < 10:
         return fit, np.zeros(0, dtype=np.int64)
-    rows = np.arange(n)
-    agreed = kept
+    kept = _kept(fit.residuals, fit.deviations)
+    # Many wrong points hide one another from a network that was fitted to them, but not from their neighbours.
+    tree = KDTree(samples.X, balanced_tree=False, compact_nodes=False)
+    everywhere = np.arange(n)
+    if kept.all() and not _far_off(tree, samples.y, everywhere).any():
+        return fit, np.zeros(0, dtype=np.int64)
+    kept &= ~_far_off(tree, samples.y, everywhere, APART)
+    seen = _look(samples, kept, refit)
     for _ in range(ROUNDS):
-        rows = np.flatnonzero(kept)
-        agreed = _kept(*_everywhere(samples, rows, refit(samples.take(rows), True)))
+        agreed = _kept(*seen)
         # While wrong points are left the network is not to be asked which ones may come back.
         left = kept & agreed
         if np.array_equal(left, kept) or np.count_nonzero(~left) > MOST * n:
             break
-        kept = left
+        kept, seen = left, _look(samples, left, refit)
+    near = np.asarray(tree.query(samples.X, k=min(NEIGHBOURS + 1, n))[1])
+    first, closer, beyond, doubts = kept, kept, seen, 0
+    while doubts < PATIENCE:
+        left = closer & ~_worst(*beyond, closer, near)
+        if np.array_equal(left, closer) or np.count_nonzero(~left) > MOST * n:
+            break
+        closer, beyond = left, _look(samples, left, refit)
+        doubts += 1
+        if np.median(np.abs(beyond[0][closer])) < TELLING * np.median(np.abs(seen[0][kept])):
+            kept, seen, doubts = closer, beyond, 0
+            agreed = _kept(*seen, kept, harmless=0.0)
+    small = np.flatnonzero(first & ~kept & ~agreed & (np.max(np.abs(seen[0]), axis=1) <= HARMLESS))
+    for row in small[np.argsort(np.abs(seen[0][small]).max(axis=1) / seen[1][small])]:
+        # A point where the surface is steepest may be far off without being wrong: the others do not suffer from it.
+        more = kept.copy()
+        more[row] = True
+        if TELLING * np.median(np.abs(_look(samples, more, refit)[0][more])) < np.median(np.abs(seen[0][kept])):
+            agreed[row] = True
     rows = np.flatnonzero(kept | agreed)
     out = np.setdiff1d(np.arange(n), rows)
     if not len(out):
@@ -79,8 +115,8 @@ def screen(X: FloatArray, y: FloatArray) -> IntArray:
     return np.flatnonzero(_far_off(tree, y, np.arange(len(X))))
 
 
-def _far_off(tree: KDTree, y: FloatArray, asked: IntArray) -> BoolArray:
-    rows = np.asarray(tree.query(tree.data[asked], k=NEIGHBOURS + 1, workers=-1)[1])
+def _far_off(tree: KDTree, y: FloatArray, asked: IntArray, deviations: float = SUSPECT) -> BoolArray:
+    rows = np.asarray(tree.query(tree.data[asked], k=min(NEIGHBOURS + 1, len(y)), workers=-1)[1])
     suspect = np.zeros(len(asked), dtype=bool)
     for values in y.T:
         around, column = values[rows[:, 1:]], values[asked]
@@ -88,7 +124,7 @@ def _far_off(tree: KDTree, y: FloatArray, asked: IntArray) -> BoolArray:
         scatter = np.median(np.abs(around - middle[:, None]), axis=1) / 0.6745
         away = np.abs(column - middle)
         typical = np.quantile(away, 0.9) / 1.645
-        suspect |= (away > SUSPECT * np.maximum(scatter, typical)) & (away > HARMLESS * values.std())
+        suspect |= (away > deviations * np.maximum(scatter, typical)) & (away > HARMLESS * values.std())
     return suspect
 
 
@@ -111,12 +147,34 @@ def agreeing(network: Partition, samples: Samples, rows: IntArray) -> BoolArray:
     return np.asarray(np.all(away <= SUSPECT * np.hypot(network.predict_std(samples.X[rows]), noise), axis=1))
 
 
-def _kept(residuals: FloatArray, deviations: FloatArray) -> BoolArray:
-    ratios = np.max(np.abs(residuals), axis=1) / deviations
+def _kept(
+    residuals: FloatArray, deviations: FloatArray, usual: BoolArray | None = None, harmless: float = HARMLESS
+) -> BoolArray:
+    """Which points are not suspected, by what is typical of the `usual` points, by default of all."""
+    largest = np.max(np.abs(residuals), axis=1)
+    ratios = largest / deviations
+    known = ratios if usual is None else ratios[usual]
     # The upper quantile keeps the heavy tails of real terrain from being suspected.
-    typical = max(np.median(ratios) / 0.6745, np.quantile(ratios, 0.9) / 1.645)
-    far = np.max(np.abs(residuals), axis=1) > HARMLESS
-    return np.asarray((ratios <= SUSPECT * typical) | ~far)
+    typical = max(np.median(known) / 0.6745, np.quantile(known, 0.9) / 1.645)
+    return np.asarray((ratios <= SUSPECT * typical) | (largest <= harmless))
+
+
+def _worst(residuals: FloatArray, deviations: FloatArray, kept: BoolArray, near: IntArray) -> BoolArray:
+    """Points far off by the median of all that are kept, each the worst of its neighbourhood `near` (n, k).
+
+    A wrong point spoils the residuals around it, and with them the upper quantile; they are no reason to suspect those.
+    The worst of all is tried where it is less far off: among few points it spoils the median, too.
+    """
+    ratios = np.where(kept, np.max(np.abs(residuals), axis=1) / deviations, 0.0)
+    typical = np.median(ratios[kept]) / 0.6745
+    far = (ratios > SUSPECT * typical) & (ratios >= ratios[near].max(axis=1))
+    return np.asarray(far | ((ratios == ratios.max()) & (ratios > WORST * typical)))
+
+
+def _look(samples: Samples, kept: BoolArray, refit: Callable[[Samples, bool], Fit]) -> tuple[FloatArray, FloatArray]:
+    """Residuals (n, k) and their deviations (n,) at all points, by a network of those that are kept."""
+    rows = np.flatnonzero(kept)
+    return _everywhere(samples, rows, refit(samples.take(rows), True))
 
 
 def _everywhere(samples: Samples, rows: IntArray, fit: Fit) -> tuple[FloatArray, FloatArray]:

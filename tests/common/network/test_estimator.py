@@ -28,6 +28,22 @@ def cloud(n: int, seed: int = 3) -> tuple[FloatArray, FloatArray]:
     return X, waves(X)
 
 
+def crags(X: FloatArray) -> FloatArray:
+    """Waves of every length down to less than the points' spacing, each as steep as the others."""
+    rng = np.random.default_rng(7)
+    waves = rng.normal(size=(40, 2))
+    waves *= (2 * np.pi / np.geomspace(4, 0.1, 40) / np.linalg.norm(waves, axis=1))[:, None]
+    return np.asarray((np.sin(X @ waves.T + rng.uniform(0, 6, 40)) / np.linalg.norm(waves, axis=1)).sum(axis=1))
+
+
+def dome(X: FloatArray) -> FloatArray:
+    return np.asarray(3 / (1 + np.square(X).sum(axis=1)))
+
+
+def rounded(X: FloatArray) -> FloatArray:
+    return np.round(30 * dome(X)) / 30
+
+
 QUERIES = np.random.default_rng(99).uniform(-1.8, 1.8, (300, 2))
 
 
@@ -129,6 +145,21 @@ def test_wrong_points_are_set_aside_and_named(n: int) -> None:
     assert error(network) < 1.5 * error(RBFNetwork().fit(X, y))
 
 
+@pytest.mark.parametrize("surface", [waves, dome])
+@pytest.mark.parametrize(("n", "seed"), [(100, 0), (100, 1), (400, 0), (400, 1)])
+def test_wild_values_leave_no_trace_on_a_surface_without_noise(
+    surface: Callable[[FloatArray], FloatArray], n: int, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    X = rng.uniform(-2, 2, (n, 2))
+    wrong = np.zeros(n, dtype=bool)
+    wrong[rng.permutation(n)[: n // 20]] = True
+    wild = np.where(wrong, rng.uniform(-20, 20, n), surface(X))
+    without = RBFNetwork().fit(X[~wrong], surface(X[~wrong])).predict(QUERIES) - surface(QUERIES)
+    left = RBFNetwork().fit(X, wild).predict(QUERIES) - surface(QUERIES)
+    assert np.sqrt(np.mean(left**2)) <= 1.5 * np.sqrt(np.mean(without**2))
+
+
 def test_noise_of_the_positions_costs_less_than_ignoring_it(monkeypatch: pytest.MonkeyPatch) -> None:
     errors = []
     for blind in (False, True):
@@ -149,6 +180,8 @@ def test_a_narrow_peak_is_no_outlier() -> None:
     X, y = cloud(200)
     peak = y + 3 * np.exp(-np.sum((X - 0.3) ** 2, axis=1) / 0.4)
     assert not len(RBFNetwork().fit(X, peak).outliers_)
+    peak[7] = -30.0
+    assert RBFNetwork().fit(X, peak).outliers_.tolist() == [7]
 
 
 def test_repeated_positions_are_averaged_and_tell_the_noise() -> None:
@@ -161,22 +194,6 @@ def test_repeated_positions_are_averaged_and_tell_the_noise() -> None:
     wild = noisy.copy()
     wild[5] = wild[65] = 60.0
     assert network.set_params().fit(np.vstack([X, X]), wild).outliers_.tolist() == [5, 65]
-
-
-def crags(X: FloatArray) -> FloatArray:
-    """Waves of every length down to less than the points' spacing, each as steep as the others."""
-    rng = np.random.default_rng(7)
-    waves = rng.normal(size=(40, 2))
-    waves *= (2 * np.pi / np.geomspace(4, 0.1, 40) / np.linalg.norm(waves, axis=1))[:, None]
-    return np.asarray((np.sin(X @ waves.T + rng.uniform(0, 6, 40)) / np.linalg.norm(waves, axis=1)).sum(axis=1))
-
-
-def dome(X: FloatArray) -> FloatArray:
-    return np.asarray(3 / (1 + np.square(X).sum(axis=1)))
-
-
-def rounded(X: FloatArray) -> FloatArray:
-    return np.round(30 * dome(X)) / 30
 
 
 @pytest.mark.parametrize("surface", [waves, dome, crags, rounded])
