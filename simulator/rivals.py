@@ -289,6 +289,37 @@ def winners(found: Mapping[str, Mapping[float, Spread]]) -> dict[float, str]:
     return best_at
 
 
+def verdict(found: Mapping[str, Mapping[float, Spread]], axis: str) -> str:
+    """Who wins where, and how the best network fares there, in words."""
+    runs: list[tuple[str, list[float]]] = []
+    for level, winner in winners(found).items():
+        if not runs or runs[-1][0] != winner:
+            runs.append((winner, []))
+        runs[-1][1].append(level)
+    networks = [rival.label for rival in RIVALS if rival.points and rival.label in found]
+    said = []
+    for winner, levels in runs:
+        where = f"{levels[0]:g}" + (f" to {levels[-1]:g}" if len(levels) > 1 else "")
+        if not winner:
+            said.append(f"at {where} no rival has a surface at least half of the time")
+            continue
+        words = f"at {where} {winner} wins"
+        if winner not in networks and networks:
+            behind = [
+                min(found[label][level].median for label in networks if level in found[label])
+                / found[winner][level].median
+                for level in levels
+            ]
+            words += f", the best network behind by a factor of {_span(behind)}"
+        said.append(words)
+    return f"{AXES[axis].capitalize()}: " + "; ".join(said) + "."
+
+
+def _span(factors: Sequence[float]) -> str:
+    low, high = (f"{value:.2f}" if np.isfinite(value) else "infinity" for value in (min(factors), max(factors)))
+    return low if low == high else f"{low} to {high}"
+
+
 def figure(rows: Sequence[Row], name: str, budget: int) -> Figure:
     """Distortion against bit errors and against packet loss, one line a rival, bands from quartile to quartile."""
     with mpl.rc_context(STYLE):
@@ -345,6 +376,7 @@ def _page(rows: Sequence[Row], contests: Sequence[Contest], seeds: int) -> str:
         for axis in LEVELS:
             found = spreads(rows, name, axis)
             best_at = winners(found)
+            parts.append(f"<p>{escape(verdict(found, axis))}</p>")
             head = ["rival", *(f"{level:g}" for level in best_at)]
             body: list[list[TableCell | str]] = [
                 [rival, *(_cell(cells.get(level), winner=best_at[level] == rival) for level in best_at)]
@@ -374,8 +406,6 @@ def rivals_command(
         rows = run_rivals(out, seeds=seeds, workers=workers, progress=progress)
     for name, budget, _ in CONTESTS:
         for axis in LEVELS:
-            found = spreads(rows, name, axis)
-            for level, winner in winners(found).items():
-                words = f"{winner}, NRMSE {found[winner][level].median:.4f}" if winner else "no surface"
-                console.print(f"{name}, {budget} bytes, {AXES[axis]} {level:g}: {words}", highlight=False)
+            said = verdict(spreads(rows, name, axis), axis)
+            console.print(f"{name}, {budget} bytes. {said}", highlight=False)
     console.print(f"{out / 'rivals.html'}", highlight=False, soft_wrap=True)

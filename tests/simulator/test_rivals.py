@@ -10,7 +10,7 @@ import pytest
 from common.errors import ParameterError
 from sender.surfaces import find_surface
 from simulator import rivals
-from simulator.rivals import LEVELS, RIVALS, Rival, run_rivals, spreads, winners
+from simulator.rivals import LEVELS, RIVALS, Rival, run_rivals, spreads, verdict, winners
 from simulator.statistics import Spread
 
 CONTEST = ("franke", 512, 64)
@@ -69,3 +69,16 @@ def test_a_folder_that_cannot_be_is_one_line(tmp_path: Path) -> None:
 def test_the_labels_of_the_rivals_are_told_apart() -> None:
     assert len({rival.label for rival in RIVALS}) == len(RIVALS) <= 8
     assert set(LEVELS) == set(rivals.CHANNELS) == set(rivals.AXES)
+
+
+def test_the_verdict_says_who_wins_where_and_how_far_the_network_is_behind() -> None:
+    network = RIVALS[0].label
+    found = {
+        network: {level: Spread.of([error] * 3) for level, error in ((0.0, 0.02), (0.1, 0.03), (0.2, 0.04))},
+        "codec": {level: Spread.of([error] * 3) for level, error in ((0.0, 0.01), (0.1, 0.01), (0.2, None))},
+        "frail": {0.3: Spread.of([None] * 3)},
+    }
+    said = verdict(found, "loss")
+    assert "at 0 to 0.1 codec wins, the best network behind by a factor of 2.00 to 3.00" in said
+    assert f"at 0.2 {network} wins" in said
+    assert "at 0.3 no rival has a surface" in said
