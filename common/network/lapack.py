@@ -120,7 +120,7 @@ def cholesky_each(matrices: FloatArray) -> bool:
     p, n, _ = _rows_first(matrices).shape
     if matrices.shape[2] != n:
         raise ValueError(f"square matrices are needed, got the shape {matrices.shape}")
-    routine, integer = _routine(cython_lapack, "dpotrf")
+    routine, integer = _routine(cython_lapack, "dpotf2" if n <= UNBLOCKED else "dpotrf")
     side, order, info = integer(max(1, n)), integer(n), integer(0)
     upper = ctypes.create_string_buffer(b"U")
     at = [ctypes.addressof(value) for value in (upper, order, side, info)]
@@ -151,6 +151,9 @@ def _rows_first(arrays: FloatArray) -> FloatArray:
         raise ValueError(f"a C-ordered stack of float64 matrices is needed, got the shape {arrays.shape}")
     return arrays
 
+
+UNBLOCKED = 112
+"""Sides of a matrix up to which the plain factorisation is faster than the one by blocks."""
 
 _STRIP = 128
 """Columns of a triangle whose lengths are taken together."""

@@ -13,8 +13,8 @@ from common.network import lapack
 from common.network.kernel import Kernel
 from common.surface import FloatArray
 
-CACHED = 1 << 16
-"""Kernel values worked on at once: 512 KiB, about what a core's cache holds."""
+CACHED = 1 << 17
+"""Kernel values worked on at once: 1 MiB, about what a core's cache holds."""
 
 FAR = 1e7
 """Distance of the padding, in mean spacings; each padded point has its own."""
@@ -38,31 +38,35 @@ class Levels:
         done = 0
         for ratio in np.square(kernel.spreads[:-1] / kernel.spreads[1:]):
             power = round(float(np.log2(ratio)))
-            fresh = abs(ratio / 2.0**power - 1) > 1e-12 or power > 3 or done + power > _SQUARINGS
+            fresh = abs(ratio / 2.0**power - 1) > 1e-12 or not 1 <= power <= 3 or done + power > _SQUARINGS
             self.squarings.append(None if fresh else power)
             done = 0 if fresh else done + power
 
     def __len__(self) -> int:
         return len(self.amplitudes)
 
-    def advance(self, level: int, r2: FloatArray, current: FloatArray) -> None:
-        """Turn the Gaussians of the level before in `current` into those of `level`; r2 holds squared distances."""
+    def advance(self, level: int, r2: FloatArray, wider: FloatArray, out: FloatArray) -> None:
+        """The Gaussians of `level` from those of the level before in `wider`, into `out`, which may be the same array.
+
+        r2 holds squared distances.
+        """
         squarings = self.squarings[level]
         if squarings is None:
-            np.multiply(r2, self.factors[level], out=current)
-            np.exp(current, out=current)
+            np.multiply(r2, self.factors[level], out=out)
+            np.exp(out, out=out)
         else:
-            for _ in range(squarings):
-                np.square(current, out=current)
+            np.square(wider, out=out)
+            for _ in range(squarings - 1):
+                np.square(out, out=out)
 
     def total(self, r2: FloatArray, out: FloatArray, scratch: FloatArray) -> None:
         """sum_l a_l exp(-r^2 / 2 s_l^2) into `out`; `scratch` (2, ...) is room for two more of the shape of r2."""
         if len(self) == 1:
-            self.advance(0, r2, out)
+            self.advance(0, r2, out, out)
             return
         current, share = scratch
         for level in range(len(self)):
-            self.advance(level, r2, current)
+            self.advance(level, r2, current, current)
             if level:
                 np.multiply(current, self.amplitudes[level], out=share)
                 np.add(out, share, out=out)
@@ -87,7 +91,7 @@ class Levels:
         value, slope = np.zeros_like(r2), np.zeros_like(r2)
         current = np.empty_like(r2)
         for level in range(len(self)):
-            self.advance(level, r2, current)
+            self.advance(level, r2, current, current)
             value += self.amplitudes[level] * current
             slope += (2 * self.amplitudes[level] * self.factors[level]) * current
         return value, slope

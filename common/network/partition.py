@@ -573,10 +573,8 @@ def _along(away: FloatArray, points: FloatArray, levels: Levels) -> FloatArray:
     """Gaussians along one axis, shape (p, m, levels, k), of offsets (p, m) and points (p, k)."""
     r2 = np.square(away[:, :, None] - points[:, None, :])
     values = np.empty((*r2.shape[:2], len(levels), r2.shape[2]))
-    current = np.empty_like(r2)
     for level in range(len(levels)):
-        levels.advance(level, r2, current)
-        values[:, :, level] = current
+        levels.advance(level, r2, values[:, :, max(0, level - 1)], values[:, :, level])
     return values
 
 

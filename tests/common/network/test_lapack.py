@@ -43,7 +43,7 @@ def test_the_same_bits_as_scipy() -> None:
     np.testing.assert_array_equal(factor, expected)
 
 
-@pytest.mark.parametrize("n", [0, 1, 5, 60])
+@pytest.mark.parametrize("n", [0, 1, 5, 60, lapack.UNBLOCKED + 1])
 def test_many_small_matrices_in_place(n: int) -> None:
     matrices = np.stack([(i + 1) * positive(n) for i in range(3)])
     right = np.random.default_rng(0).normal(size=(3, 2, n))
