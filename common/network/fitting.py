@@ -259,18 +259,21 @@ def _thin(trained: Trained, network: Expansion, samples: Samples, wanted: Wanted
 def _train_partition(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
     notes: tuple[str, ...] = ()
     outliers = robust.screen(samples.X, samples.y)
-    kept = samples.without(outliers)
-    network = _partition(kept, wanted, tick)
-    if wanted.smoothing is not None and not _bounded(network, kept):
-        notes = (_unstable(wanted, f"it leaves {BEYOND:g} times the range of the values"),)
-        wanted = replace(wanted, smoothing=None)
+    network: Partition | None = None
+    if wanted.smoothing is not None:
+        kept = samples.without(outliers)
         network = _partition(kept, wanted, tick)
+        if not _bounded(network, kept):
+            notes = (_unstable(wanted, f"it leaves {BEYOND:g} times the range of the values"),)
+            wanted, network = replace(wanted, smoothing=None), None
     if len(outliers):
         # Where some points are wild there are others that the neighbours could not tell.
         rows = np.setdiff1d(np.arange(len(samples)), outliers)
         more = robust.cross_checked(samples.take(rows), lambda part: _partition(part, wanted, tick))
-        outliers = np.union1d(outliers, rows[more])
+        outliers, network = np.union1d(outliers, rows[more]), None
+    if network is None:
         network = _partition(samples.without(outliers), wanted, tick)
+    if len(outliers):
         agreed = robust.agreeing(network, samples, outliers)
         if agreed.any():
             outliers = outliers[~agreed]
