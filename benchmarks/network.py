@@ -4,7 +4,7 @@
 
 Everything runs in one process on this machine; figures come with their ratios, rows as they are known, and the bars at
 the end. Peers that are not installed are left out and named: ``pip install surfacelink[bench]``. Fits and
-predictions of one row see the same points. All of it takes about a quarter of an hour on two cores.
+predictions of one row see the same points.
 """
 
 from __future__ import annotations
