@@ -36,6 +36,9 @@ TELLING = 10
 NOISY = 1e-4
 """Smoothing from which the points are taken for noisy, in their positions, too."""
 
+LIKE = 12
+"""Kernels that are fitted once more, allowing for noise in the positions."""
+
 MOVED = 2.5
 """Odds beforehand that noisy points are noisy in their positions, too, over that only their heights are."""
 
@@ -119,7 +122,7 @@ def _none() -> IntArray:
 def _chosen(samples: Samples, wanted: Wanted, tick: Tick, *, quick: bool = False, like: Fit | None = None) -> Fit:
     """Spread and smoothing, as asked or from the data, with every point a centre.
 
-    Where there is a fit to be `like`, kernels that had no share in it are not tried.
+    Where there is a fit to be `like`, only the kernels are tried that had the greatest shares in it.
     """
     extent = float(np.ptp(samples.X, axis=0).max()) or 1.0
     spreads = ladder_spreads(mean_spacing(samples.X) or 1.0, 2 * extent)
@@ -129,8 +132,7 @@ def _chosen(samples: Samples, wanted: Wanted, tick: Tick, *, quick: bool = False
         given = _given(samples, wanted)
         spreads, kinds = np.array([given]), [Kind("single", given)]
     if like is not None:
-        shared = {c.kind for c, share in zip(like.scored.candidates, like.scored.shares, strict=True) if share}
-        kinds = [kind for kind in kinds if kind in shared]
+        kinds = like.scored.heaviest(LIKE)
     floor = rounding_floor(len(samples))
     chosen = wanted.smoothing
     if chosen is None and len(samples) < TELLING:

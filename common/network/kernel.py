@@ -80,6 +80,11 @@ def level_matrices(r2: FloatArray, spreads: FloatArray) -> list[FloatArray]:
 
 def sum_of_levels(r2: FloatArray, spreads: FloatArray, amplitudes: FloatArray) -> FloatArray:
     """sum_l a_l exp(-r^2 / 2 s_l^2), two arrays of memory whatever the number of levels."""
+    if len(spreads) == 1:
+        single = np.multiply(r2, -0.5 / spreads[0] ** 2)
+        np.exp(single, out=single)
+        single *= amplitudes[0]
+        return np.asarray(single)
     total = np.zeros_like(r2)
     current = np.empty_like(r2)
     scratch = np.empty_like(r2)

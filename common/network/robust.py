@@ -50,6 +50,9 @@ APART = 4.0
 WORST = 3.0
 """Robust deviations beyond which the worst point of all is tried without."""
 
+TAIL, TAIL_DEVIATIONS = 0.995, 2.81
+"""A quantile far out, and where it is for normal residuals."""
+
 NEIGHBOURS = 12
 """Nearest points that a value of many is compared with."""
 
@@ -92,6 +95,7 @@ def set_aside(samples: Samples, fit: Fit, refit: Callable[[Samples, bool], Fit])
         more[row] = True
         if TELLING * np.median(np.abs(_look(samples, more, refit)[0][more])) < np.median(np.abs(seen[0][kept])):
             agreed[row] = True
+    agreed |= _within_tail(*seen, kept)
     rows = np.flatnonzero(kept | agreed)
     out = np.setdiff1d(np.arange(n), rows)
     if not len(out):
@@ -157,6 +161,16 @@ def _kept(
     # The upper quantile keeps the heavy tails of real terrain from being suspected.
     typical = max(np.median(known) / 0.6745, np.quantile(known, 0.9) / 1.645)
     return np.asarray((ratios <= SUSPECT * typical) | (largest <= harmless))
+
+
+def _within_tail(residuals: FloatArray, deviations: FloatArray, kept: BoolArray) -> BoolArray:
+    """Points no further off than the tail of those that are kept makes likely.
+
+    Edges leave a few large residuals among many small ones, and more of the kind are no errors. Of normal residuals the
+    tail says the same as the middle.
+    """
+    ratios = np.max(np.abs(residuals), axis=1) / deviations
+    return np.asarray(ratios <= SUSPECT * np.quantile(ratios[kept], TAIL) / TAIL_DEVIATIONS)
 
 
 def _worst(residuals: FloatArray, deviations: FloatArray, kept: BoolArray, near: IntArray) -> BoolArray:

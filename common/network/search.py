@@ -44,11 +44,14 @@ CLIMBED = 600
 NEIGHBOURHOODS = 8
 """Neighbourhoods that those points come from: as dense as all points are, or what is rough would pass for noise."""
 
-TRIALS = 14
+TRIALS = 12
 """Candidates that a search may factorise."""
 
 AFFORDED = 1000
 """Points up to which a search on all of them may factorise so many; beyond, fewer by the cube of their number."""
+
+ROUND = 4
+"""Candidates below which a search is not begun."""
 
 _SMOOTHING_STEP = 10**0.5
 _LOG_STEP = float(np.log(_SMOOTHING_STEP))
@@ -82,19 +85,16 @@ def fit(
     order = np.random.default_rng(0).permutation(n)
     few = samples.take(np.sort(order[:RANKED]))
     free = _Free(kernel=len(kinds) > 1, smoothing=len(smoothings) > 1)
-    coarse = [
-        kind
-        for kind in kinds
-        if len(kinds) == 1
-        or (kind.family != "single" and kind.reach == np.inf)
-        or (kind.family == "single" and kind.parameter in spreads)
-    ]
-    starts = _starts(average(few, coarse, spreads, smoothings, lambda share: tick(0.2 * share)).scored)
+    # Where points are many the reach of a ladder lies beyond what a prediction needs.
+    endless = [kind for kind in kinds if kind.reach == np.inf]
+    starts = _starts(average(few, endless, spreads, smoothings, lambda share: tick(0.2 * share)).scored)
     if n > CLIMBED and not quick:
         some = samples.take(_neighbourhoods(samples.X, order))
         search = _Search(some, spreads, TRIALS, lambda share: tick(0.2 + 0.4 * share))
         starts = [search.climb(starts, free).scored.best]
-    budget = 1 if quick else max(1, min(TRIALS, round(TRIALS * (AFFORDED / n) ** 3)))
+    budget = min(TRIALS, round(TRIALS * (AFFORDED / n) ** 3))
+    if quick or budget < ROUND:
+        budget = 1
     return _Search(samples, spreads, budget, lambda share: tick(0.6 + 0.4 * share)).climb(starts, free)
 
 

@@ -34,13 +34,13 @@ import numpy as np
 import scipy.linalg
 
 from common.errors import ParameterError, TrainingError
-from common.network.kernel import LADDER_STEP, Kernel, level_matrices, squared_distances
+from common.network.kernel import Kernel, level_matrices, squared_distances
 from common.network.threads import parallel
 from common.surface import FloatArray, IntArray
 
 Family: TypeAlias = Literal["single", "multiquadric", "ladder"]
 
-ROUGHNESS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
+ROUGHNESS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0)
 ORDERS = (0.5, 1.0, 2.0, 4.0)
 """Roughnesses of the ladders that have a reach."""
 
@@ -159,9 +159,8 @@ the points and runs away between them."""
 def families(spreads: FloatArray, extent: float) -> list[Kind]:
     """Every kind of kernel worth a trial; `spreads` descending, `extent` the points' longest side."""
     finest = float(spreads.min())
-    halved = np.concatenate([spreads, spreads / LADDER_STEP**0.5])
     return [
-        *(Kind("single", s) for s in halved.tolist() if s <= max(finest, WIDEST["single"] * extent)),
+        *(Kind("single", s) for s in spreads.tolist() if s <= max(finest, WIDEST["single"] * extent)),
         *(Kind("multiquadric", s) for s in spreads.tolist() if s <= max(finest, WIDEST["multiquadric"] * extent)),
         *(Kind("ladder", h) for h in ROUGHNESS),
         *(Kind("ladder", h, reach * extent) for h in ORDERS for reach in REACHES if reach * extent > finest),
@@ -293,6 +292,14 @@ class Scored:
         """Shape (candidates,); adding up to one, zero where negligible."""
         shares = np.maximum(np.exp(self.scores.min() - self.scores) - NEGLIGIBLE, 0)
         return np.asarray(shares / shares.sum())
+
+    def heaviest(self, most: int) -> list[Kind]:
+        """The kinds of greatest share, at most so many, heaviest first."""
+        total: dict[Kind, float] = {}
+        for candidate, share in zip(self.candidates, self.shares.tolist(), strict=True):
+            if share:
+                total[candidate.kind] = total.get(candidate.kind, 0.0) + share
+        return sorted(total, key=lambda kind: -total[kind])[:most]
 
     @property
     def best(self) -> Candidate:

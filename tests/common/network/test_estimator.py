@@ -209,6 +209,16 @@ def test_the_band_covers_the_truth(surface: Callable[[FloatArray], FloatArray], 
     assert 0.9 <= np.mean(shares) <= 0.98
 
 
+@pytest.mark.parametrize("seed", [0, 2, 4])
+def test_points_on_steep_islands_are_not_taken_for_wrong_ones(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    X, islands = rng.uniform(-1, 1, (800, 2)), rng.uniform(-1, 1, (12, 2))
+    heights, radii = rng.uniform(2, 8, 12), rng.uniform(0.04, 0.12, 12)
+    away = np.linalg.norm(X[:, None] - islands, axis=2)
+    y = 0.3 * np.sin(3 * X[:, 0]) + (heights / (1 + np.exp((away - radii) / 0.01))).sum(axis=1)
+    assert not len(RBFNetwork().fit(X, y).outliers_)
+
+
 def test_the_band_widens_where_there_are_no_points() -> None:
     X, y = cloud(200)
     hole = np.sum(X**2, axis=1) > 1
