@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 
 from common.errors import TrainingError
 from common.network import lapack
-from common.network.selection import TINY, Samples
-from common.surface import FloatArray
+from common.network.selection import TINY, Samples, without_twins
+from common.surface import FloatArray, IntArray
 
 _MAX_RAISES = 12
+
+Residuals: TypeAlias = tuple[FloatArray, FloatArray]
+"""Residuals (n, k) and their variances over the signal variance (n,)."""
+
+NO_TWINS: tuple[IntArray, IntArray] = (np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
 
 
 class Dense:
@@ -58,8 +65,19 @@ class Dense:
 
     def leave_one_out(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residuals (n, k) and their variances over the signal variance (n,)."""
-        diagonal = lapack.inverse_diagonal(self.factor) - self.one**2 / self.one.sum()
-        return coefficients / diagonal[:, None], 1 / diagonal
+        alone, _ = self.left_out(coefficients, *NO_TWINS)
+        return alone
+
+    def left_out(self, coefficients: FloatArray, rows: IntArray, twins: IntArray) -> tuple[Residuals, Residuals]:
+        """The residuals of `leave_one_out`, and those of the rows (p,) without their twins (p,), too, else the same."""
+        diagonal, elements = lapack.inverse_elements(self.factor, rows, twins)
+        diagonal -= self.one**2 / self.one.sum()
+        alone = coefficients / diagonal[:, None], 1 / diagonal
+        if not len(rows):
+            return alone, alone
+        between = elements - self.one[rows] * self.one[twins] / self.one.sum()
+        solved, left = without_twins(coefficients.T[..., None], diagonal[:, None], rows, twins, between[:, None])
+        return alone, (solved[..., 0].T / left, 1 / left[:, 0])
 
     def restricted(self, samples: Samples, coefficients: FloatArray) -> tuple[float, float]:
         """Restricted negative log likelihood and the signal variance that minimises it."""

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import cython_blas, cython_lapack
 
-from common.surface import FloatArray
+from common.surface import FloatArray, IntArray
 
 
 @cache
@@ -95,10 +95,10 @@ def solve_lower(factor: FloatArray, right: FloatArray, *, transposed: bool = Fal
     return solved
 
 
-def inverse_diagonal(factor: FloatArray) -> FloatArray:
-    """The diagonal (n,) of (L L^T)^-1 for a factor of `cholesky`.
+def inverse_elements(factor: FloatArray, rows: IntArray, columns: IntArray) -> tuple[FloatArray, FloatArray]:
+    """The diagonal (n,) of (L L^T)^-1 for a factor of `cholesky`, and its elements (p,) at rows and columns (p,).
 
-    It is the squared length of each column of L^-1, a third of the work of the whole inverse.
+    They are products of columns of L^-1, which is a third of the work of the whole inverse.
     """
     side, inverted = _side(factor), _columns_first(factor)
     _call(cython_lapack, "dtrtri", b"L", b"N", len(factor), inverted, side, 0)
@@ -107,7 +107,9 @@ def inverse_diagonal(factor: FloatArray) -> FloatArray:
         stop = min(len(factor), start + _STRIP)
         corner, below = np.tril(inverted[start:stop, start:stop]), inverted[stop:, start:stop]
         diagonal[start:stop] = np.einsum("ij,ij->j", corner, corner) + np.einsum("ij,ij->j", below, below)
-    return diagonal
+    first = np.maximum(rows, columns)
+    elements = [inverted[k:, i] @ inverted[k:, j] for k, i, j in zip(first, rows, columns, strict=True)]
+    return diagonal, np.array(elements, dtype=np.float64)
 
 
 def cholesky_each(matrices: FloatArray) -> bool:

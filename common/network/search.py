@@ -28,6 +28,7 @@ from common.network.selection import (
     combine,
     rounding_floor,
     score,
+    twins,
 )
 from common.network.threads import parallel
 from common.surface import FloatArray, IntArray
@@ -114,6 +115,7 @@ class _Search:
     def __init__(self, samples: Samples, spreads: FloatArray, budget: int, tick: Callable[[float], None]) -> None:
         self.samples, self.spreads, self.budget, self.tick = samples, spreads, budget, tick
         self.r2 = squared_distances(samples.X)
+        self.twins = twins(samples.X)
         self.lowest = round(float(np.log(rounding_floor(len(samples))) / _LOG_STEP), 6)
         self.tried: dict[_Place, tuple[float, float, float, Solution, float]] = {}
 
@@ -121,7 +123,7 @@ class _Search:
         """The scores, infinite where the budget is spent."""
         fresh = [place for place in dict.fromkeys(places) if place not in self.tried]
         fresh = fresh[: self.budget - len(self.tried)]
-        found = parallel(lambda place: _solve(self.samples, place.candidate, self.spreads, self.r2), fresh)
+        found = parallel(lambda place: _solve(self.samples, place.candidate, self.spreads, self.r2, self.twins), fresh)
         self.tried |= zip(fresh, found, strict=True)
         self.tick(len(self.tried) / self.budget)
         return [self.tried[place][0] if place in self.tried else np.inf for place in places]
@@ -235,15 +237,15 @@ class _Place:
 
 
 def _solve(
-    samples: Samples, candidate: Candidate, spreads: FloatArray, r2: FloatArray
+    samples: Samples, candidate: Candidate, spreads: FloatArray, r2: FloatArray, close: tuple[IntArray, IntArray]
 ) -> tuple[float, float, float, Solution, float]:
     """Score, signal variance, restricted nll and network of one candidate on all samples."""
     kernel = candidate.kind.kernel(spreads)
     dense = Dense(sum_of_levels(r2, kernel.spreads, kernel.amplitudes), samples.weights, candidate.smoothing)
     coefficients, bias = dense.solve(samples.y)
     restricted, variance = dense.restricted(samples, coefficients)
-    residuals, spread = dense.leave_one_out(coefficients)
-    own = np.mean(residuals**2 / spread[:, None])
-    left_out = 0.5 * samples.y.shape[1] * float(len(samples) * np.log(own) + np.log(spread).sum())
+    (residuals, spread), (apart, variances) = dense.left_out(coefficients, *close)
+    own = np.mean(apart**2 / variances[:, None])
+    left_out = 0.5 * samples.y.shape[1] * float(len(samples) * np.log(own) + np.log(variances).sum())
     value = float(score(len(samples), np.array(left_out), np.array(dense.smoothing)))
     return value, variance, restricted, Solution(coefficients, bias, residuals, spread), dense.smoothing

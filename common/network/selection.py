@@ -14,7 +14,9 @@ One eigendecomposition of W^1/2 K W^1/2 gives two criteria for every smoothing a
 - the restricted likelihood (REML; Patterson and Thompson 1971), the bias integrated out;
 - the leave-one-out predictive density (Sundararajan and Keerthi 2001), from the residuals r_i = c_i / P_ii and their
   variances 1 / P_ii (Rippa 1999), P the inverse with the bias projected out, so that the bias, too, is fitted without
-  the point.
+  the point. A point that has a twin, another within a tenth of the mean spacing, is left out with it: what one of them
+  tells of the other says nothing of the places between the points (Mila, Mateu, Pebesma and Meyer 2022, "Nearest
+  neighbour distance matching leave-one-out cross-validation for map validation").
 
 Candidates are averaged with weights exp(-0.7 nll_LOO) lambda: the leave-one-out density at less than full strength,
 since few points tell less than it claims, and noise-to-signal ratios lambda between 0.0003 and 0.1 held for equally
@@ -32,9 +34,10 @@ from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import scipy.linalg
+from scipy.spatial import KDTree
 
 from common.errors import ParameterError, TrainingError
-from common.network.kernel import Kernel, level_matrices, squared_distances
+from common.network.kernel import Kernel, level_matrices, mean_spacing, squared_distances
 from common.network.threads import parallel
 from common.surface import FloatArray, IntArray
 
@@ -61,6 +64,9 @@ NEGLIGIBLE = 0.03
 """Share of the heaviest weight that is taken off every weight, so that those of less fade out of the average."""
 
 TINY = float(np.finfo(np.float64).tiny)
+CLOSE = 0.1
+"""Mean spacings within which two points are twins: one tells the other, and neither what is between the points."""
+
 NOTHING = 1e-30
 """What a point may at least tell of itself; less is rounding, or a point alone."""
 
@@ -181,6 +187,29 @@ def _eigenbases(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
     return values, vectors
 
 
+def twins(X: FloatArray) -> tuple[IntArray, IntArray]:
+    """Rows of points (n, d) that have another within `CLOSE` mean spacings, and the rows of their nearest."""
+    if len(X) < FEW:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    distances, nearest = (np.asarray(found) for found in KDTree(X).query(X, k=2))
+    rows = np.flatnonzero(distances[:, 1] < CLOSE * mean_spacing(X))
+    return rows, nearest[rows, 1]
+
+
+def without_twins(
+    solved: FloatArray, diagonal: FloatArray, rows: IntArray, partners: IntArray, between: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """P y (..., k, n, m) and the diagonal of P (..., n, m) at each of the rows (p,) as if its twin were not there.
+
+    What is left of P without a twin is its Schur complement; `between` (..., p, m) are its elements between the two.
+    """
+    share = between / diagonal[..., partners, :]
+    apart, left = solved.copy(), diagonal.copy()
+    apart[..., rows, :] -= share[..., None, :, :] * solved[..., partners, :]
+    left[..., rows, :] = np.clip(diagonal[..., rows, :] - share * between, NOTHING, None)
+    return apart, left
+
+
 class Spectra:
     """W^1/2 K W^1/2 of several kernels in their eigenbases: every smoothing at the cost of a product.
 
@@ -215,15 +244,22 @@ class Spectra:
         log_det = np.log(one_one) - np.log(inverse).sum(axis=1) + self.samples.repeats * np.log(smoothings)
         restricted = 0.5 * outputs * (free * np.log(variance) + log_det - np.log(self.samples.weights).sum())
 
-        solved, diagonal = self._projected(inverse, one_one, one_y)
+        along_one = self.basis @ (self.one[:, :, None] * inverse)
+        solved, diagonal = self._projected(inverse, one_one, one_y, along_one)
+        rows, partners = twins(self.samples.X)
+        if len(rows):
+            between = (self.basis[:, rows] * self.basis[:, partners]) @ inverse
+            between -= along_one[:, rows] * along_one[:, partners] / one_one[:, None]
+            solved, diagonal = without_twins(solved, diagonal, rows, partners, between)
         squares = np.clip(np.square(solved).sum(axis=1) / diagonal, TINY, None)
         own = squares.mean(axis=1) / outputs
         spread = np.log(diagonal).sum(axis=1) + np.log(self.samples.weights).sum()
         return restricted, 0.5 * outputs * (n * np.log(own) - spread), variance
 
-    def _projected(self, inverse: FloatArray, one_one: FloatArray, one_y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _projected(
+        self, inverse: FloatArray, one_one: FloatArray, one_y: FloatArray, along_one: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """P y (c, k, n, m) and the diagonal of P (c, n, m), both in weighted units."""
-        along_one = self.basis @ (self.one[:, :, None] * inverse)
         diagonal = np.clip(self.basis**2 @ inverse - along_one**2 / one_one[:, None], NOTHING, None)
         solved = np.stack(
             [

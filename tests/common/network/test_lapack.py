@@ -31,7 +31,10 @@ def test_the_four_steps_are_scipy_s(n: int, order: str) -> None:
         np.testing.assert_allclose(np.tril(factor) @ lapack.solve_lower(factor, right), right, atol=1e-10)
         turned = lapack.solve_lower(factor, right, transposed=True)
         np.testing.assert_allclose(np.tril(factor).T @ turned, right, atol=1e-10)
-    np.testing.assert_allclose(lapack.inverse_diagonal(factor), np.diag(np.linalg.inv(matrix)), rtol=1e-10)
+    inverse, rows, columns = np.linalg.inv(matrix), np.arange(min(n, 2)), np.arange(n)[::-1][:2]
+    diagonal, elements = lapack.inverse_elements(factor, rows, columns)
+    np.testing.assert_allclose(diagonal, np.diag(inverse), rtol=1e-10)
+    np.testing.assert_allclose(elements, inverse[rows, columns], rtol=1e-8, atol=1e-12)
     np.testing.assert_array_equal(factor, kept)
 
 
@@ -74,7 +77,8 @@ def test_shapes_are_checked_before_memory_is_touched(right: np.ndarray) -> None:
     for step in (lapack.solve, lapack.solve_lower):
         with pytest.raises(ValueError, match="right side"):
             step(np.eye(4), right)
-    for only in (lapack.cholesky, lapack.inverse_diagonal):
+    nowhere = np.zeros(0, dtype=np.int64)
+    for only in (lapack.cholesky, lambda matrix: lapack.inverse_elements(matrix, nowhere, nowhere)):
         with pytest.raises(ValueError, match="square"):
             only(np.zeros((4, 3)))
 

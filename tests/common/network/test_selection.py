@@ -22,6 +22,7 @@ from common.network.selection import (
     families,
     rounding_floor,
     score,
+    twins,
 )
 from common.surface import FloatArray
 
@@ -99,6 +100,29 @@ def test_the_leave_one_out_density_uses_the_residuals_own_variance(samples: Samp
     )
     _, density, _ = spectra.criteria(np.array([SMOOTHING]))
     assert density[0, 0] == pytest.approx(expected, rel=1e-8)
+
+
+def test_a_point_with_a_twin_is_left_out_with_it() -> None:
+    rng = np.random.default_rng(5)
+    X = rng.uniform(-1, 1, (40, 2))
+    X[1], X[7] = X[0] + 0.001, X[6] - 0.001
+    given = Samples(X, np.sin(3 * X[:, :1]) + 0.05 * rng.normal(size=(40, 1)), rng.integers(1, 4, 40).astype(float))
+    rows, partners = twins(X)
+    assert {(0, 1), (1, 0), (6, 7), (7, 6)} <= set(zip(rows.tolist(), partners.tolist(), strict=True))
+    c, _ = solved(given)
+    _, (residuals, variances) = Dense(KERNEL.gram(X), given.weights, SMOOTHING).left_out(c, rows, partners)
+    alone, _ = Dense(KERNEL.gram(X), given.weights, SMOOTHING).leave_one_out(c)
+    for row, twin in zip(rows.tolist(), partners.tolist(), strict=True):
+        rest = given.without(np.array([row, twin]))
+        again, bias = solved(rest)
+        expected = given.y[row] - (KERNEL.gram(X[row : row + 1], rest.X) @ again + bias)[0]
+        np.testing.assert_allclose(residuals[row], expected, atol=1e-9)
+    others = np.setdiff1d(np.arange(40), rows)
+    np.testing.assert_array_equal(residuals[others], alone[others])
+    own = np.mean(residuals[:, 0] ** 2 / variances)
+    density = 0.5 * (40 * np.log(own) + np.log(variances).sum())
+    found = Spectra(KERNEL.gram(X)[None], given).criteria(np.array([SMOOTHING]))[1]
+    assert found[0, 0] == pytest.approx(density, rel=1e-9)
 
 
 def test_repeats_count_as_if_every_measurement_stood_alone() -> None:
