@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeAlias
 
 import matplotlib as mpl
 import numpy as np
@@ -39,6 +39,14 @@ from simulator.runner import Row
 from simulator.statistics import Spread, group, number, text
 
 NETWORK = "network"
+
+WIDTH = 6.4
+"""Least width of a figure, in inches; so are the two that follow, of a legend's line and of a letter."""
+
+HANDLE, LETTER = 0.75, 0.08
+
+SIZES = 1.5
+"""Factor between the sizes of a line from which it is worth drawing over them."""
 
 MAX_LINES = 8
 """Lines in one plot that colour, dash and marker still tell apart."""
@@ -142,8 +150,13 @@ def _nested(cells: Iterable[tuple[tuple[str, str, float], Spread]]) -> Curves:
     return {s: {line: sorted(points, key=lambda p: p[0]) for line, points in of.items()} for s, of in nested.items()}
 
 
-def _place(row: Row) -> tuple[str, str, float | None]:
-    return text(row, "surface"), text(row, "axis"), None if row["level"] is None else number(row, "level")
+Place: TypeAlias = tuple[str, str, float | None, str]
+"""Surface, axis, level, and the channel where it has no level."""
+
+
+def _place(row: Row) -> Place:
+    level = None if row["level"] is None else number(row, "level")
+    return text(row, "surface"), text(row, "axis"), level, text(row, "channel") if level is None else ""
 
 
 def choose_lines(rows: Sequence[Row], most: int = MAX_LINES) -> list[str]:
@@ -168,7 +181,8 @@ def draw_curves(all_curves: Curves, look: AxisLook, lines: Sequence[str]) -> Fig
     columns = min(3, len(surfaces))
     rows = math.ceil(len(surfaces) / columns)
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(3.35 * columns + 0.5, 2.75 * rows + 0.75))
+        width = max(WIDTH, 3.35 * columns + 0.5)
+        figure = Figure(figsize=(width, 2.75 * rows + 0.75))
         grid = figure.subplots(rows, columns, squeeze=False, sharex=True)
         for k, axes in enumerate(grid.flat):
             if k >= len(surfaces):
@@ -186,7 +200,9 @@ def draw_curves(all_curves: Curves, look: AxisLook, lines: Sequence[str]) -> Fig
             shown |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
         labels = [line for line in lines if line in shown]
         handles = [shown[line] for line in labels]
-        figure.legend(handles, labels, loc="outside upper center", ncols=min(4, max(1, len(labels))), handlelength=3.2)
+        entry = HANDLE + LETTER * max(map(len, labels), default=0)
+        ncols = max(1, min(4, len(labels), int(width / entry)))
+        figure.legend(handles, labels, loc="outside upper center", ncols=ncols, handlelength=3.2)
     return figure
 
 
@@ -227,6 +243,11 @@ def _draw_lines(
     axes.yaxis.set_minor_formatter(NullFormatter())
     if look.logarithmic:
         axes.set_xscale("log")
+        left, right = axes.get_xlim()
+        if left > 1 and right < 100 * left:
+            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+            axes.xaxis.set_minor_formatter(NullFormatter())
     elif look.percent:
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:g} %"))
 
@@ -266,12 +287,12 @@ def cells_csv(rows: Sequence[Row]) -> str:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(["surface", "axis", "level", "line", "bytes", "samples", "failed", "median", "low", "high"])
-    for (surface, axis, level), of in group(rows, _place).items():
+    for (surface, axis, level, channel), of in group(rows, _place).items():
         for line, its in group(of, line_of).items():
             spread = Spread.of([row["nrmse"] for row in its])
             errors = [f"{value:.4g}" for value in (spread.median, spread.low, spread.high)]
             size = f"{_median(its, 'bytes'):.0f}"
-            writer.writerow([surface, axis, level, line, size, spread.count, spread.failed, *errors])
+            writer.writerow([surface, channel or axis, level, line, size, spread.count, spread.failed, *errors])
     return out.getvalue()
 
 
@@ -280,11 +301,13 @@ def cells_csv(rows: Sequence[Row]) -> str:
 
 @dataclass(frozen=True)
 class Contest:
-    """One cell of a campaign: a surface under a channel, every line's distortion."""
+    """One cell of a campaign: a surface under a channel in so many bytes, every line's distortion."""
 
     surface: str
     axis: str
     level: float | None
+    channel: str
+    budget: str
     harmful: bool
     distortion: Mapping[str, Spread]
 
@@ -309,16 +332,26 @@ def _own_line(distortion: Mapping[str, Spread]) -> str:
 
 
 def contests(rows: Sequence[Row]) -> list[Contest]:
-    """Every (surface, channel), methods on the unharmed cloud left out."""
-    fair = [row for row in rows if not str(row["method"]).endswith("@cloud")]
-    line_of = Lines(fair)
+    """Every (surface, channel, bytes allowed), methods on the unharmed cloud left out."""
+    fair = [_of_a_budget(row) for row in rows if not str(row["method"]).endswith("@cloud")]
+    budgets = {row["budget"] for row in fair}
+    line_of = Lines(fair if len(budgets) > 1 else rows)
     found = []
-    for (surface, axis, level), of in group(fair, _place).items():
+    for ((surface, axis, level, channel), budget), of in group(
+        fair, lambda row: (_place(row), text(row, "budget") if len(budgets) > 1 else "")
+    ).items():
         distortion = {line: Spread.of([row["nrmse"] for row in its]) for line, its in group(of, line_of).items()}
         harmful = any(row["channel"] not in ("", "clean") for row in of) and level != 0
         if any(name.startswith(NETWORK) for name in distortion):
-            found.append(Contest(surface, axis, level, harmful, distortion))
+            found.append(Contest(surface, axis, level, channel, budget, harmful, distortion))
     return found
+
+
+def _of_a_budget(row: Row) -> Row:
+    """The row with its bytes allowed apart from what it sends."""
+    budget = re.search(r" ?budget=(\d+)", text(row, "sends"))
+    sends = text(row, "sends").replace(budget[0], "") if budget else row["sends"]
+    return {**row, "sends": sends, "budget": budget[1] if budget else ""}
 
 
 def group_by_axis(cells: Sequence[Contest]) -> dict[str, list[Contest]]:
@@ -330,11 +363,12 @@ def group_by_axis(cells: Sequence[Contest]) -> dict[str, list[Contest]]:
 
 
 def _level(contest: Contest) -> str:
+    size = f", {int(contest.budget):,} bytes" if contest.budget else ""
     if contest.level is None:
-        return contest.axis
+        return (contest.channel or "clean") + size
     look = look_of(contest.axis)
     value = f"{100 * contest.level:g} %" if look.percent else f"{contest.level:g}"
-    return f"{contest.axis.replace('_', ' ')} {value}"
+    return f"{contest.axis.replace('_', ' ')} {value}{size}"
 
 
 def contests_html(cells: Sequence[Contest], notes: Mapping[str, str]) -> str:
@@ -344,13 +378,16 @@ def contests_html(cells: Sequence[Contest], notes: Mapping[str, str]) -> str:
     harmful = [cell for cell in cells if cell.harmful]
     lost = [cell for cell in cells if not cell.winner.startswith(NETWORK)]
     won = sum(cell.winner.startswith(NETWORK) for cell in harmful)
-    share = (
-        f"{won} of {len(harmful)} cells with harm ({100 * won / len(harmful):.0f} %)" if harmful else "no cell has harm"
-    )
     clean = [cell for cell in cells if not cell.harmful]
     clean_won = sum(cell.winner.startswith(NETWORK) for cell in clean)
-    intro = f"<p class='lead'>The network has the lowest median NRMSE in <b>{share}</b>"
-    intro += f", and in {clean_won} of {len(clean)} without.</p>" if clean else ".</p>"
+    shares = [f"<b>{won} of {len(harmful)} cells with harm ({100 * won / len(harmful):.0f} %)</b>"] if harmful else []
+    shares += [f"{clean_won} of {len(clean)} {'without' if harmful else 'cells without harm'}"] if clean else []
+    words = (
+        f"The network has the lowest median NRMSE in {', and in '.join(shares)}."
+        if shares
+        else "No line has a surface."
+    )
+    intro = f"<p class='lead'>{words}</p>"
     by_axis = group_by_axis(harmful)
     if len(by_axis) > 1:
         shares = [
@@ -399,7 +436,8 @@ def ranking_html(cells: Sequence[Contest]) -> str:
         values = [its / own for its, own in pairs if math.isfinite(its) and math.isfinite(own)]
         return float(np.exp(np.mean(np.log(values)))) if values else math.nan
 
-    harmful = [cell for cell in cells if cell.harmful]
+    harm = any(cell.harmful for cell in cells)
+    harmful = [cell for cell in cells if cell.harmful] if harm else cells
     order = sorted(names, key=lambda name: (ratio(name, harmful), name))
     rows = [
         [
@@ -413,8 +451,8 @@ def ranking_html(cells: Sequence[Contest]) -> str:
     return table(
         ["method", "cells won", "all", *(_nice_name(s) for s in surfaces)],
         rows,
-        caption="Cells with harm that each method wins, and its median NRMSE over the network's (geometric mean over "
-        "the cells in which both give a surface; above 1 the network is better).",
+        caption=f"Cells {'with harm ' if harm else ''}that each method wins, and its median NRMSE over the network's "
+        "(geometric mean over the cells in which both give a surface; above 1 the network is better).",
     )
 
 
@@ -495,7 +533,7 @@ def _bytes_html(rows: Sequence[Row]) -> list[str]:
         )
         for (surface, *_), of in cells.items()
     )
-    if not any(len(points) > 1 for of in sized.values() for points in of.values()):
+    if not any(points[-1][0] > SIZES * points[0][0] for of in sized.values() for points in of.values()):
         return []
     sentence = "Distortion against the bytes sent, all overhead counted, on a clean channel."
     look = AxisLook("bytes on the air", True, False, sentence)
@@ -521,9 +559,10 @@ def _tried(rows: Sequence[Row]) -> str:
 
     channels = len({(row["axis"], row["level"]) for row in rows})
     grids = " and ".join(f"{r} x {c}" for r, c in dict.fromkeys((row["rows"], row["columns"]) for row in rows))
+    plural = "channel" if channels == 1 else "channels"
     failures = sum(row["failure"] is not None for row in rows)
     return (
         f"<p>{len(rows)} reconstructions: {', '.join(map(escape, distinct('surface')))}; {len(distinct('sample'))} "
-        f"samples of each; {channels} channels; {len(distinct('method'))} methods; on a grid of {grids}. "
+        f"samples of each; {channels} {plural}; {len(distinct('method'))} methods; on a grid of {grids}. "
         f"{failures or 'None'} of them failed.</p>"
     )

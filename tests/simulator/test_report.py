@@ -106,6 +106,32 @@ def test_bytes_and_times_are_drawn_where_they_are_known() -> None:
     assert "Time against points" in html
 
 
+def test_bytes_are_compared_with_as_many_bytes_and_a_channel_with_itself() -> None:
+    given = [
+        row(method=m, sends=f"{s} budget={b}", axis="channel", level=None, channel=channel, nrmse=error)
+        for m, s, errors in (("network", "features", (0.1, 0.01)), ("zfp", "raster", (0.2, 0.005)))
+        for b, error in zip((100, 1000), errors, strict=True)
+        for channel in ("clean", "lora")
+    ]
+    cells = report.contests(given)
+    assert {(cell.channel, cell.budget, cell.winner) for cell in cells} == {
+        (channel, budget, winner)
+        for channel in ("clean", "lora")
+        for budget, winner in (("100", "network"), ("1000", "zfp"))
+    }
+    html = report.render(given, WORDS)
+    assert "1 of 2 cells with harm (50 %)" in html
+    assert "and in 1 of 2 without" in html
+    assert "lora, 1,000 bytes" in html
+
+
+def test_no_cell_with_harm_is_said_plainly() -> None:
+    html = report.render(
+        [row(method=m, level=0.0, channel="clean", nrmse=e) for m, e in (("network", 0.1), ("linear", 0.2))], WORDS
+    )
+    assert "lowest median NRMSE in 1 of 1 cells without harm" in html
+
+
 def test_what_fails_for_everyone_is_named_and_not_counted() -> None:
     nothing = [
         row(method=m, level=0.5, nrmse=None, failure="NotReadyError: nothing arrived") for m in ("network", "linear")
