@@ -557,7 +557,7 @@ def _tried(rows: Sequence[Row]) -> str:
     def distinct(name: str) -> list[str]:
         return list(dict.fromkeys(text(row, name) for row in rows))
 
-    channels = len({(row["axis"], row["level"]) for row in rows})
+    channels = len({_place(row)[1:] for row in rows})
     grids = " and ".join(f"{r} x {c}" for r, c in dict.fromkeys((row["rows"], row["columns"]) for row in rows))
     plural = "channel" if channels == 1 else "channels"
     failures = sum(row["failure"] is not None for row in rows)
