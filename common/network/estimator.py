@@ -15,7 +15,7 @@ from common.network.autoassociative import Lifted
 from common.network.conventions import Conventions, finite, training_arrays
 from common.network.expansion import Expansion
 from common.network.fitting import Trained, Wanted, train, train_lifted
-from common.network.partition import Partition
+from common.network.partition import BoolArray, Partition
 from common.network.selection import Samples
 from common.surface import FloatArray, IntArray
 
@@ -174,7 +174,8 @@ class RBFNetwork(Conventions):
             self.callback(stage, fraction)
 
     def _publish(self, trained: Trained, group: IntArray) -> None:
-        self.outliers_ = np.flatnonzero(np.isin(group, trained.outliers)).astype(np.int64)
+        aside = np.isin(group, trained.outliers) if len(trained.outliers) else np.zeros(0, dtype=bool)
+        self.outliers_ = np.flatnonzero(aside).astype(np.int64)
         self.history_ = trained.history * float(self._scales.height.max())
         self.stop_reason_ = trained.stop_reason
         self.notes_ = trained.notes
@@ -320,18 +321,25 @@ def _column_deviations(centred: FloatArray) -> FloatArray:
     return np.array([_deviation(column, len(column)) for column in centred.T])
 
 
+def _sorted(X: FloatArray) -> tuple[IntArray, BoolArray]:
+    """Rows of positions (n, d) in the order of their coordinates, and which of them begins a run of equal ones."""
+    order = np.lexsort(X.T[::-1])
+    return order, np.append(np.ones(min(1, len(X)), dtype=bool), np.any(np.diff(X[order], axis=0) != 0, axis=1))
+
+
 def merge_repeated(X: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, IntArray]:
     """One row for each distinct position, in the order of their first appearance.
 
     Returns the positions (m, d), their mean values (m, k), the samples behind each (m,), the sum of squares about the
     means (k,), and the row of each sample among the m (n,).
     """
-    if not np.any(np.diff(np.sort(X[:, 0])) == 0):
+    along = np.argsort(X[:, 0])
+    tied = np.diff(X[along, 0]) == 0
+    # Of many points hardly any share a coordinate, and only those that do can be one position.
+    sharing = X[along[np.append(tied, False) | np.append(False, tied)]]
+    if _sorted(sharing)[1].all():
         return X, y, np.ones(len(X)), np.zeros(y.shape[1]), np.arange(len(X))
-    order = np.lexsort(X.T[::-1])
-    first = np.append(True, np.any(np.diff(X[order], axis=0) != 0, axis=1))
-    if first.all():
-        return X, y, np.ones(len(X)), np.zeros(y.shape[1]), np.arange(len(X))
+    order, first = _sorted(X)
     group = np.empty(len(X), dtype=np.int64)
     group[order] = np.cumsum(first) - 1
     # The sort is stable, so the first of each run is the first to appear.
