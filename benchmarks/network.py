@@ -334,7 +334,8 @@ def large_table(seeds: int, most: int) -> Bars:
         return
     for n in sizes:
         X, y, Q, truth = FRACTAL.draw(n, np.random.default_rng(0))
-        for kernel in ("Linear", "ThinPlateSpline"):
+        # Its thin plate takes more than six minutes for a million points.
+        for kernel in ("Linear", "ThinPlateSpline") if n <= 100_000 else ("Linear",):
             repeat = 3 if n <= SHORT else 1
             fit, predict = timed(ferreus(kernel), X, y, repeat=repeat)
             grid, _ = timed(predict, nodes, repeat=repeat)
