@@ -335,7 +335,7 @@ def contests(rows: Sequence[Row]) -> list[Contest]:
     """Every (surface, channel, bytes allowed), methods on the unharmed cloud left out."""
     fair = [_of_a_budget(row) for row in rows if not str(row["method"]).endswith("@cloud")]
     budgets = {row["budget"] for row in fair}
-    line_of = Lines(fair if len(budgets) > 1 else rows)
+    line_of = Lines(fair)
     found = []
     for ((surface, axis, level, channel), budget), of in group(
         fair, lambda row: (_place(row), text(row, "budget") if len(budgets) > 1 else "")

@@ -218,10 +218,13 @@ class Spectra:
     grams : ndarray, shape (c, n, n)
         K at the positions, one for each kernel.
     samples : Samples
+    close : tuple of two ndarrays of int, optional
+        `twins` of the samples, where they are known already.
     """
 
-    def __init__(self, grams: FloatArray, samples: Samples) -> None:
+    def __init__(self, grams: FloatArray, samples: Samples, close: tuple[IntArray, IntArray] | None = None) -> None:
         self.samples = samples
+        self.twins = twins(samples.X) if close is None else close
         self.root = np.sqrt(samples.weights)
         values, self.basis = _eigenbases(grams * np.outer(self.root, self.root))
         self.values = np.clip(values, 0, None)
@@ -246,7 +249,7 @@ class Spectra:
 
         along_one = self.basis @ (self.one[:, :, None] * inverse)
         solved, diagonal = self._projected(inverse, one_one, one_y, along_one)
-        rows, partners = twins(self.samples.X)
+        rows, partners = self.twins
         if len(rows):
             between = (self.basis[:, rows] * self.basis[:, partners]) @ inverse
             between -= along_one[:, rows] * along_one[:, partners] / one_one[:, None]
@@ -359,10 +362,11 @@ def average(
     r2 = squared_distances(samples.X)
     levels = np.array(level_matrices(r2, spreads))
     kernels = [kind.kernel(spreads) for kind in kinds]
+    close = twins(samples.X)
     batch = max(1, min(_BATCH // max(1, len(samples) ** 2), -(-len(kinds) // _PARTS)))
 
     def work(start: int) -> tuple[Spectra, tuple[FloatArray, FloatArray, FloatArray]]:
-        part = Spectra(_grams(kernels[start : start + batch], r2, spreads, levels), samples)
+        part = Spectra(_grams(kernels[start : start + batch], r2, spreads, levels), samples, close)
         return part, part.criteria(smoothings)
 
     found = parallel(work, range(0, len(kinds), batch), tick=tick)
