@@ -16,11 +16,11 @@ from common.network import quadtree
 from common.network.quadtree import Quadtree
 from common.surface import FloatArray, IntArray
 
-CELL_POINTS = 25
+CELL_POINTS = 36
 """Points a cell holds in the mean."""
 
-SPLIT = 45
-"""Points of a cell that is not split yet: four deviations above the mean, so even density splits none."""
+SPLIT = 65
+"""Points of a cell that is not split yet: nearly five deviations above the mean, so even density splits none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +85,7 @@ def frame_for(X: FloatArray) -> Frame:
     side = max(float(np.sqrt(box[0] * box[1] * share)), float(box.max()) * share)
     frame = Frame(low, side, box / side)
     rows = np.floor(frame.scaled(X)).astype(np.int64)
-    _, cell = np.unique(rows[:, 0] * (frame.cells[1] + 1) + rows[:, 1], return_inverse=True)
+    cell = rows[:, 0] * (frame.cells[1] + 1) + rows[:, 1]
     typical = float(np.median(np.bincount(cell)[cell]))
     side *= float(np.clip(np.sqrt(CELL_POINTS / typical), 0.25, 1.0))
     return Frame(low, side, box / side)

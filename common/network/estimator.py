@@ -15,7 +15,8 @@ from common.network.autoassociative import Lifted
 from common.network.conventions import Conventions, finite, training_arrays
 from common.network.expansion import Expansion
 from common.network.fitting import Trained, Wanted, train, train_lifted
-from common.network.partition import BoolArray, Partition
+from common.network.local import BoolArray
+from common.network.partition import Partition
 from common.network.selection import Samples
 from common.surface import FloatArray, IntArray
 
@@ -333,11 +334,13 @@ def merge_repeated(X: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray
     Returns the positions (m, d), their mean values (m, k), the samples behind each (m,), the sum of squares about the
     means (k,), and the row of each sample among the m (n,).
     """
-    along = np.argsort(X[:, 0])
-    tied = np.diff(X[along, 0]) == 0
-    # Of many points hardly any share a coordinate, and only those that do can be one position.
-    sharing = X[along[np.append(tied, False) | np.append(False, tied)]]
-    if _sorted(sharing)[1].all():
+    # Equal positions have equal shadows in any direction, and in a crooked one hardly any others do.
+    shadow = np.zeros(len(X))
+    for k, column in enumerate(X.T):
+        shadow += np.sqrt(k + 2.0) * column
+    ordered = np.sort(shadow)
+    shared = ordered[1:][ordered[1:] == ordered[:-1]]
+    if _sorted(X[np.isin(shadow, shared)])[1].all():
         return X, y, np.ones(len(X)), np.zeros(y.shape[1]), np.arange(len(X))
     order, first = _sorted(X)
     group = np.empty(len(X), dtype=np.int64)

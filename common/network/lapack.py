@@ -134,18 +134,19 @@ def cholesky_each(matrices: FloatArray) -> bool:
     return True
 
 
-def solve_lower_each(factors: FloatArray, right: FloatArray, *, transposed: bool = False) -> None:
-    """L^-1 b, or L^-T b, in place of every row b of `right` (p, m, n), for what `cholesky_each` left in (p, n, n)."""
+def solve_transposed_each(factors: FloatArray, right: FloatArray) -> None:
+    """L^-T b in place of every row b of `right` (p, m, n), for L in the first n rows of what `cholesky_each` left."""
     p, m, n = _rows_first(right).shape
-    if _rows_first(factors).shape != (p, n, n):
-        raise ValueError(f"factors of the shape {(p, n, n)} are needed, got {factors.shape}")
-    routine, integer = _routine(cython_blas, "dtrsm")
-    flags = [ctypes.create_string_buffer(flag) for flag in (b"L", b"U", b"N" if transposed else b"T", b"N")]
-    sizes = integer(n), integer(m), ctypes.c_double(1.0), integer(max(1, n))
+    side = _rows_first(factors).shape[2]
+    if factors.shape != (p, side, side) or side < n:
+        raise ValueError(f"{p} factors of {n} rows or more are needed, got the shape {factors.shape}")
+    routine, integer = _routine(cython_blas, "dtrsv")
+    flags = [ctypes.create_string_buffer(flag) for flag in (b"U", b"N", b"N")]
+    sizes = integer(n), integer(max(1, side)), integer(1)
     at = [ctypes.addressof(value) for value in (*flags, *sizes)]
     first, then = factors.ctypes.data, right.ctypes.data
-    for i in range(p):
-        routine(*at[:7], first + 8 * i * n * n, at[7], then + 8 * i * m * n, at[7])
+    for i in range(p * m):
+        routine(*at[:4], first + 8 * (i // m) * side * side, at[4], then + 8 * i * n, at[5])
 
 
 def _rows_first(arrays: FloatArray) -> FloatArray:

@@ -25,18 +25,17 @@ from common.errors import TrainingError
 from common.network import calibration, local
 from common.network.cover import Cover, Frame, frame_for, ragged, step
 from common.network.kernel import Kernel, rough_amplitudes
-from common.network.local import CACHED, FAR, Levels
+from common.network.local import CACHED, FAR, BoolArray, Levels
 from common.network.quadtree import DEEPEST, Quadtree
 from common.network.threads import in_order, parallel
 from common.surface import FloatArray, IntArray
 
 Tick: TypeAlias = Callable[[str, float], None]
-BoolArray: TypeAlias = np.ndarray[Any, np.dtype[np.bool_]]
 
-FIT_MARGIN = 0.5
-"""How far the points of a patch reach beyond its cell, in sides of the cell: as far as the touching cells go."""
+FIT_MARGIN = 0.3
+"""How far the points of a patch reach beyond its cell, in sides of the cell; at most as far as the touching cells."""
 
-BLEND_MARGIN = 0.3
+BLEND_MARGIN = 0.15
 """How far the weight of a patch reaches: less than its points, so that no patch is asked at its rim."""
 
 FEWEST = 3
@@ -51,13 +50,16 @@ BATCH = 64
 GROUP = 2048
 """Patches whose points are looked up together."""
 
-TILE = 64
+GRID_CACHED = 1 << 16
+"""Gaussians of one level along one axis of the rectangles of a grid that are evaluated at once."""
+
+TILE = 128
 """Most rows and columns of a grid that a patch evaluates at once."""
 
 QUERIES = 256
 """Most scattered positions that a patch evaluates at once."""
 
-FEW, MORE = 16, 64
+FEW, MORE = 8, 64
 """Patches that sort the kernels out, and most patches that choose among the likely ones; a quarter of all is enough."""
 
 LIKELY = 3
@@ -66,7 +68,7 @@ LIKELY = 3
 CHECKED = 96
 """Patches whose points are held against the network without them."""
 
-LADDER: FloatArray = np.asarray(32.0 / 2.0 ** np.arange(8))
+LADDER: FloatArray = np.asarray(16.0 / 2.0 ** np.arange(7))
 """Spreads of the ladder in mean spacings; a patch is about ten spacings wide. A step of two is as good as the dense
 ladder's square root of two here, at half the cost."""
 
@@ -241,9 +243,10 @@ class Partition:
         at = np.arange(width)
         real = at < counts[:, None]
         slots = np.where(real, first[:, None] + at, 0)
-        rows = self.members[slots].astype(np.int64)
-        points = (self.u[rows] - self.cover.centres[patches, None]) / self.spacings[patches, None, None]
-        points[~real] = (FAR * (1 + np.broadcast_to(at, real.shape)[~real]))[:, None]
+        points = self.u.take(self.members.take(slots), axis=0)
+        points -= self.cover.centres[patches, None]
+        points /= self.spacings[patches, None, None]
+        points = np.where(real[:, :, None], points, FAR * (1.0 + at)[:, None])
         return points, np.where(real, slots, -1), real
 
     def _chosen(
@@ -300,29 +303,21 @@ class Partition:
 
         def work(patches: IntArray) -> None:
             points, slots, real = self._batch(patches)
-            rows = self.members[slots]
-            right = np.zeros((len(patches), 1 + outputs, points.shape[1]))
-            right[:, 0] = real
-            middle = np.zeros((len(patches), outputs))
-            for k in range(outputs):
-                y = np.where(real, values[rows, k], 0.0)
-                middle[:, k] = y.sum(axis=1) / real.sum(axis=1)
-                right[:, 1 + k] = np.where(real, y - middle[:, k, None], 0.0)
+            rows, many = self.members.take(slots), real.sum(axis=1)[:, None]
+            y = values.take(rows, axis=0).transpose(0, 2, 1) * real[:, None]
+            middle = y.sum(axis=2) / many
+            y = (y - middle[:, :, None]) * real[:, None]
+            share = np.where(real, self.weights.take(rows), 1.0)
             for _ in range(_RAISES):
-                diagonal = self.smoothing[patches, None] / np.where(real, self.weights[rows], 1.0)
-                solved = local.solve(local.gram(points, diagonal, levels), right)
+                solved = local.solve(points, self.smoothing[patches, None] / share, real, y, levels)
                 if solved is not None:
                     break
                 self.smoothing[patches] = 10 * np.maximum(self.smoothing[patches], _floor(points.shape[1]))
             else:
                 raise TrainingError("the kernel matrix of a patch is not positive definite, whatever the smoothing")
-            solution, inner = solved
-            bias = inner[:, 0, 1:] / inner[:, 0, :1]
-            quadratic = np.diagonal(inner, axis1=1, axis2=2)[:, 1:] - bias * inner[:, 0, 1:]
-            self.amplitude[patches] = np.sqrt(np.maximum(quadratic, 0.0) / np.maximum(real.sum(axis=1) - 1, 1)[:, None])
-            self.bias[patches] = middle + bias
-            coefficients = solution[:, 1:] - bias[:, :, None] * solution[:, :1]
-            self.coefficients[slots[real]] = coefficients.transpose(0, 2, 1)[real]
+            self.amplitude[patches] = np.sqrt(np.maximum(solved.quadratic, 0.0) / np.maximum(many - 1, 1))
+            self.bias[patches] = middle + solved.bias
+            self.coefficients[slots[real]] = solved.coefficients.transpose(0, 2, 1)[real]
 
         batches = [order[start : start + BATCH] for start in range(0, len(order), BATCH)]
         parallel(work, batches, tick=lambda fraction: tick("solve", fraction))
@@ -361,17 +356,15 @@ class Partition:
         outputs = self.coefficients.shape[1]
         columns, rows = np.argsort(x, kind="stable"), np.argsort(y, kind="stable")
         axes = self._axis(x[columns], 0), self._axis(y[rows], 1)
-        total, weight = np.zeros((outputs, len(y), len(x))), np.zeros((len(y), len(x)))
+        total, weight = np.zeros((outputs, len(y) * len(x))), np.zeros(len(y) * len(x))
         levels = Levels(self.kernel)
-        pieces = self._pieces(axes)
-        found = in_order(lambda piece: self._rectangles(*piece, axes, levels), pieces)
-        for (_, boxes), (values, weights) in zip(pieces, found, strict=True):
-            for value, w, (left, right, bottom, top) in zip(values, weights, boxes.tolist(), strict=True):
-                total[:, bottom:top, left:right] += value[:, : top - bottom, : right - left]
-                weight[bottom:top, left:right] += w[: top - bottom, : right - left]
+        for nodes, values, w in in_order(lambda piece: self._rectangles(*piece, axes, levels), self._pieces(axes)):
+            np.add.at(weight, nodes.ravel(), w.ravel())
+            for output in range(outputs):
+                np.add.at(total[output], nodes.ravel(), values[output].ravel())
         total /= weight
         grid = np.empty((len(y), len(x), outputs))
-        grid[np.ix_(rows, columns)] = np.moveaxis(total, 0, 2)
+        grid[np.ix_(rows, columns)] = np.moveaxis(total.reshape(outputs, len(y), len(x)), 0, 2)
         return grid
 
     def predict(self, X: FloatArray) -> FloatArray:
@@ -448,8 +441,8 @@ class Partition:
         order = np.lexsort((counts, top - bottom, right - left))
         boxes = np.stack([left, right, bottom, top], axis=1)[order]
         patches, counts = patches[order], counts[order]
-        size = np.maximum(boxes[:, 1] - boxes[:, 0], boxes[:, 3] - boxes[:, 2]) * counts * len(self.kernel.spreads)
-        return [(patches[part], boxes[part]) for part in _runs(size, CACHED)]
+        size = np.maximum(boxes[:, 1] - boxes[:, 0], boxes[:, 3] - boxes[:, 2]) * counts
+        return [(patches[part], boxes[part]) for part in _runs(size, GRID_CACHED)]
 
     def _rectangles(
         self,
@@ -457,31 +450,25 @@ class Partition:
         boxes: IntArray,
         axes: tuple[tuple[FloatArray, FloatArray], ...],
         levels: Levels,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Weighted values (p, k, rows, columns) and weights (p, rows, columns) of a batch of grid rectangles."""
+    ) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Nodes, weighted values (k, ...) and weights of a batch of grid rectangles, (p, rows, columns)."""
         points, slots, real = self._batch(patches)
-        sides, weights = [], []
+        away, weights, nodes = [], [], []
         for axis, (u, clipped) in enumerate(axes):
             first, last = boxes[:, 2 * axis], boxes[:, 2 * axis + 1]
             at = first[:, None] + np.arange(int((last - first).max()))
             inside = at < last[:, None]
             at = np.where(inside, at, first[:, None])
             centre = self.cover.centres[patches, axis, None]
+            nodes.append(at)
             weights.append(self._weights(clipped[at] - centre, patches)[0] * inside)
-            away = (u[at] - centre) / self.spacings[patches, None]
-            sides.append(_along(away, points[:, :, axis], levels))
+            away.append((u[at] - centre) / self.spacings[patches, None])
+        c = np.where(real[:, :, None], self.coefficients.take(slots, axis=0), 0.0)
+        values = local.rectangles(points, away[0], away[1], c, levels)
+        values += self.bias[patches].T[:, :, None, None]
         weight = weights[1][:, :, None] * weights[0][:, None, :]
-        outputs = self.coefficients.shape[1]
-        values = np.empty((len(patches), outputs, *weight.shape[1:]))
-        p, columns, depth, k = sides[0].shape
-        across = sides[0].reshape(p, columns, depth * k).transpose(0, 2, 1)
-        for output in range(outputs):
-            c = np.where(real, self.coefficients[slots, output], 0.0)
-            scaled = sides[1] * (levels.amplitudes[:, None] * c[:, None, :])[:, None]
-            values[:, output] = scaled.reshape(p, -1, depth * k) @ across
-        values += self.bias[patches, :, None, None]
-        values *= weight[:, None]
-        return values, weight
+        values *= weight
+        return nodes[1][:, :, None] * len(axes[0][0]) + nodes[0][:, None, :], values, weight
 
     def _weights(self, away: FloatArray, patches: IntArray) -> tuple[FloatArray, FloatArray]:
         """Weight along one axis at offsets (p, m) from the middle of the patches, in cells, and its slope."""
@@ -567,15 +554,6 @@ def _kernels() -> list[Kernel]:
     """Ladders of every roughness and single Gaussians."""
     ladders = [Kernel.mixture(LADDER, rough_amplitudes(LADDER, roughness)) for roughness in ROUGHNESS]
     return ladders + [Kernel.single(spread) for spread in SINGLE]
-
-
-def _along(away: FloatArray, points: FloatArray, levels: Levels) -> FloatArray:
-    """Gaussians along one axis, shape (p, m, levels, k), of offsets (p, m) and points (p, k)."""
-    r2 = np.square(away[:, :, None] - points[:, None, :])
-    values = np.empty((*r2.shape[:2], len(levels), r2.shape[2]))
-    for level in range(len(levels)):
-        levels.advance(level, r2, values[:, :, max(0, level - 1)], values[:, :, level])
-    return values
 
 
 def _runs(size: IntArray, budget: int) -> list[slice]:

@@ -17,7 +17,8 @@ from scipy.spatial import KDTree
 
 from common.network import evaluation
 from common.network.dense import Dense
-from common.network.partition import BoolArray, Partition
+from common.network.local import BoolArray
+from common.network.partition import Partition
 from common.network.selection import Fit, Samples
 from common.surface import FloatArray, IntArray
 

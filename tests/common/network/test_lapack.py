@@ -52,15 +52,24 @@ def test_many_small_matrices_in_place(n: int) -> None:
     right = np.random.default_rng(0).normal(size=(3, 2, n))
     factors, solved = matrices.copy(), right.copy()
     assert lapack.cholesky_each(factors)
-    lapack.solve_lower_each(factors, solved)
-    lapack.solve_lower_each(factors, solved, transposed=True)
+    lapack.solve_transposed_each(factors, solved)
     for i in range(3):
         np.testing.assert_allclose(np.tril(factors[i]), np.linalg.cholesky(matrices[i]), rtol=1e-12, atol=1e-12)
-        np.testing.assert_allclose(solved[i] @ matrices[i], right[i], atol=1e-10)
+        np.testing.assert_allclose(solved[i] @ np.tril(factors[i]), right[i], atol=1e-10)
     with pytest.raises(ValueError, match="stack"):
         lapack.cholesky_each(np.zeros((2, 4, 4)).transpose(0, 2, 1))
     with pytest.raises(ValueError, match="factors"):
-        lapack.solve_lower_each(factors, np.zeros((3, 2, n + 1)))
+        lapack.solve_transposed_each(factors, np.zeros((3, 2, n + 1)))
+
+
+def test_the_first_rows_of_a_factor_are_a_factor() -> None:
+    matrices = np.stack([positive(8), positive(8)])
+    right = np.random.default_rng(0).normal(size=(2, 1, 6))
+    factors, solved = matrices.copy(), right.copy()
+    assert lapack.cholesky_each(factors)
+    lapack.solve_transposed_each(factors, solved)
+    expected = np.linalg.solve(np.linalg.cholesky(matrices[0, :6, :6]).T, right[0, 0])
+    np.testing.assert_allclose(solved[0, 0], expected, atol=1e-12)
 
 
 def test_a_stack_with_one_indefinite_matrix_has_no_factors() -> None:

@@ -273,16 +273,29 @@ def test_batched_matrices_and_solutions(kernel: Kernel) -> None:
     points = rng.uniform(-4, 4, (3, 50, 2))
     points[1, 40:] = local.FAR * (1 + np.arange(10))[:, None]
     diagonal = rng.uniform(0.1, 0.2, (3, 50))
-    matrix = local.gram(points, diagonal, Levels(kernel))
-    right = rng.normal(size=(3, 2, 50))
-    right[1, :, 40:] = 0
-    solved = local.solve(matrix, right)
+    real = np.ones((3, 50), dtype=bool)
+    real[1, 40:] = False
+    y = rng.normal(size=(3, 2, 50)) * real[:, None]
+    solved = local.solve(points, diagonal, real, y, Levels(kernel))
     assert solved is not None
-    solution, inner = solved
     for p in range(3):
         k = 40 if p == 1 else 50
-        dense = kernel.gram(points[p, :k]) + np.diag(diagonal[p, :k])
-        expected = np.linalg.solve(dense, right[p, :, :k].T).T
-        np.testing.assert_allclose(solution[p, :, :k], expected, atol=1e-9)
-        np.testing.assert_allclose(inner[p], right[p, :, :k] @ expected.T, atol=1e-8)
-    assert local.solve(-np.ones((2, 3, 3)), right[:2, :, :3]) is None
+        saddle = np.block([[kernel.gram(points[p, :k]) + np.diag(diagonal[p, :k]), np.ones((k, 1))], [np.ones(k), 0]])
+        expected = np.linalg.solve(saddle, np.append(y[p, :, :k], np.zeros((2, 1)), axis=1).T).T
+        np.testing.assert_allclose(solved.coefficients[p, :, :k], expected[:, :-1], atol=1e-9)
+        np.testing.assert_allclose(solved.bias[p], expected[:, -1], atol=1e-9)
+        np.testing.assert_allclose(solved.quadratic[p], np.sum(expected[:, :-1] * y[p, :, :k], axis=1), atol=1e-8)
+        assert not solved.coefficients[p, :, k:].any()
+    assert local.solve(points, -2 * np.ones((3, 50)), real, y, Levels(kernel)) is None
+
+
+def test_rectangles_are_the_kernel_at_their_nodes() -> None:
+    rng = np.random.default_rng(1)
+    kernel = Kernel.mixture(np.array([8.0, 4.0, 2.0, 0.7]), np.array([1.0, 0.5, 0.3, 0.1]))
+    points, across, up = rng.uniform(-4, 4, (3, 20, 2)), rng.uniform(-4, 4, (3, 5)), rng.uniform(-4, 4, (3, 7))
+    coefficients = rng.normal(size=(3, 20, 2))
+    values = local.rectangles(points, across, up, coefficients, Levels(kernel))
+    for p in range(3):
+        nodes = np.stack(np.meshgrid(across[p], up[p]), axis=-1).reshape(-1, 2)
+        expected = kernel.gram(nodes, points[p]) @ coefficients[p]
+        np.testing.assert_allclose(values[:, p].reshape(2, -1).T, expected, atol=1e-12)
