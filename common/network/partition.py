@@ -27,6 +27,7 @@ from common.network.cover import Cover, Frame, frame_for, ragged, step
 from common.network.kernel import Kernel, rough_amplitudes
 from common.network.local import CACHED, FAR, BoolArray, Levels
 from common.network.quadtree import DEEPEST, Quadtree
+from common.network.selection import Samples, Spectra
 from common.network.threads import in_order, parallel
 from common.surface import FloatArray, IntArray
 
@@ -68,14 +69,14 @@ LIKELY = 3
 CHECKED = 96
 """Patches whose points are held against the network without them."""
 
-LADDER: FloatArray = np.asarray(16.0 / 2.0 ** np.arange(7))
+LADDER: FloatArray = np.asarray(24.0 / 2.0 ** np.arange(7))
 """Spreads of the ladder in mean spacings; a patch is about ten spacings wide. A step of two is as good as the dense
-ladder's square root of two here, at half the cost."""
+ladder's square root of two here, at half the cost, and a finer spread would pass for noise."""
 
 SINGLE = (1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 """Single spreads tried, in mean spacings."""
 
-ROUGHNESS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
+ROUGHNESS = (0.25, 0.5, 0.7, 0.85, 1.0, 1.25, 1.5, 2.0, 3.0)
 """Exponents H of the ladder tried."""
 
 SMOOTHINGS: FloatArray = np.logspace(-13, 1, 29)
@@ -252,7 +253,7 @@ class Partition:
     def _chosen(
         self, values: FloatArray, spread: float | str, smoothing: float | str, tick: Tick
     ) -> tuple[Kernel, float]:
-        """Kernel and smoothing of the least geometric mean of evidence and leave-one-out error over a sample."""
+        """Kernel and smoothing that foretell the points of a sample of patches best, each left out of its own."""
         kernels = _kernels() if spread == "auto" else [Kernel.single(1.0)]
         counts = np.diff(self.starts)
         floor = _floor(int(counts.max()))
@@ -283,15 +284,21 @@ class Partition:
         return kernels[likely[best[0]]], float(smoothings[best[1]])
 
     def _scores(self, patch: int, values: FloatArray, kernels: list[Kernel], smoothings: FloatArray) -> FloatArray:
-        """Score of each kernel and smoothing on one patch, shape (kernels, smoothings)."""
+        """How badly each kernel and smoothing foretells the points of one patch, shape (kernels, smoothings).
+
+        The leave-one-out density of `selection` counts by the deviation of the patch's values, since an error is
+        measured in their units wherever it is made.
+        """
         rows = self.members[self.starts[patch] : self.starts[patch + 1]]
         y = values[rows]
-        if len(rows) < 4 or not np.ptp(y, axis=0).all():
+        deviation = float(np.sqrt(y.var(axis=0).mean()))
+        if len(rows) < 4 or not deviation:
             return np.zeros((len(kernels), len(smoothings)))
         points = self.u[rows] / self.spacings[patch]
-        points = (points - points.mean(axis=0))[None]
-        grams = np.concatenate([Levels(kernel).matrix(points, points) for kernel in kernels])
-        return local.scores(grams, (y - y.mean(axis=0)) / y.std(axis=0), self.weights[rows], smoothings)
+        points -= points.mean(axis=0)
+        grams = np.concatenate([Levels(kernel).matrix(points[None], points[None]) for kernel in kernels])
+        samples = Samples(points, (y - y.mean(axis=0)) / deviation, self.weights[rows])
+        return deviation * Spectra(grams, samples).criteria(smoothings)[1]
 
     def _solve(self, values: FloatArray, tick: Tick) -> None:
         """Coefficients, bias and amplitude of every patch."""

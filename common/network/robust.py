@@ -121,7 +121,8 @@ def screen(X: FloatArray, y: FloatArray) -> IntArray:
 
 
 def _far_off(tree: KDTree, y: FloatArray, asked: IntArray, deviations: float = SUSPECT) -> BoolArray:
-    rows = np.asarray(tree.query(tree.data[asked], k=min(NEIGHBOURS + 1, len(y)), workers=-1)[1])
+    workers = -1 if len(asked) > GLANCE else 1
+    rows = np.asarray(tree.query(tree.data[asked], k=min(NEIGHBOURS + 1, len(y)), workers=workers)[1])
     suspect = np.zeros(len(asked), dtype=bool)
     for values in y.T:
         around, column = values[rows[:, 1:]], values[asked]

@@ -16,6 +16,7 @@ from scipy.spatial import KDTree
 from common.network.dense import Dense
 from common.network.kernel import LADDER_STEP, squared_distances, sum_of_levels
 from common.network.selection import (
+    BEHIND,
     ROUGHNESS,
     Candidate,
     Family,
@@ -186,11 +187,7 @@ def _starts(ranked: Scored) -> list[Candidate]:
         if family not in best or value < best[family][0]:
             best[family] = (value, candidate)
     ordered = sorted(best.values(), key=lambda pair: pair[0])
-    return [candidate for value, candidate in ordered if value - ordered[0][0] < _BEHIND]
-
-
-_BEHIND = 8.0
-"""Score by which a family may lie behind in the sample and still be tried on more points."""
+    return [candidate for value, candidate in ordered if value - ordered[0][0] < BEHIND]
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -56,6 +57,12 @@ TRUST = 0.7
 
 LIKELY = (3e-4, 0.1)
 """Smoothings that are held for equally likely beforehand; below and above them it is their logarithms that are."""
+
+COUNTED = 12
+"""Kinds of kernels up to which all are tried."""
+
+BEHIND = 8.0
+"""Score by which a kernel may lie behind and those beside it are still worth a trial."""
 
 FEW = 30
 """Points below which that belief fades: three points are worth little, but all there is."""
@@ -358,32 +365,64 @@ def average(
     smoothings: FloatArray,
     tick: Callable[[float], None],
 ) -> Fit:
-    """Score every kind of kernel with every smoothing, and average them."""
+    """Score kinds of kernels with every smoothing, and average them.
+
+    Of many kinds every other one is tried, and then those beside one that is not far behind: kinds are in the order of
+    their parameter, so what stands between two that count for nothing does not count either.
+    """
     r2 = squared_distances(samples.X)
     levels = np.array(level_matrices(r2, spreads))
     kernels = [kind.kernel(spreads) for kind in kinds]
     close = twins(samples.X)
-    batch = max(1, min(_BATCH // max(1, len(samples) ** 2), -(-len(kinds) // _PARTS)))
+    tried: dict[int, _Tried] = {}
 
-    def work(start: int) -> tuple[Spectra, tuple[FloatArray, FloatArray, FloatArray]]:
-        part = Spectra(_grams(kernels[start : start + batch], r2, spreads, levels), samples, close)
-        return part, part.criteria(smoothings)
+    def trial(rows: Sequence[int], tell: Callable[[float], None]) -> None:
+        batch = max(1, min(_BATCH // max(1, len(samples) ** 2), -(-len(rows) // _PARTS)))
 
-    found = parallel(work, range(0, len(kinds), batch), tick=tick)
-    spectra = [part for part, _ in found]
-    likelihoods, left_out, variances = zip(*(criteria for _, criteria in found), strict=True)
-    scores = [score(len(samples), nll, smoothings) for nll in left_out]
-    candidates = [Candidate(kind, s) for kind in kinds for s in smoothings.tolist()]
-    scored = Scored(candidates, *(np.concatenate(part).ravel() for part in (scores, variances, likelihoods)))
-    by_kind = scored.shares.reshape(len(kinds), -1)
-    used = np.flatnonzero(by_kind.sum(axis=1)).tolist()
+        def work(start: int) -> list[_Tried]:
+            part = [kernels[i] for i in rows[start : start + batch]]
+            spectra = Spectra(_grams(part, r2, spreads, levels), samples, close)
+            return [
+                _Tried(spectra, i, *found) for i, found in enumerate(zip(*spectra.criteria(smoothings), strict=True))
+            ]
+
+        found = parallel(work, range(0, len(rows), batch), tick=tell)
+        tried.update(zip(rows, chain(*found), strict=True))
+
+    step = 2 if len(kinds) > COUNTED else 1
+    trial(range(0, len(kinds), step), lambda share: tick(share / step))
+    worth = {i: float(np.min(score(len(samples), one.left_out, smoothings))) for i, one in tried.items()}
+    hot = {i for i, value in worth.items() if value <= min(worth.values()) + BEHIND}
+    between = sorted({j for i in hot for j in (i - 1, i + 1) if j < len(kinds)} - {-1} - tried.keys())
+    trial(between, lambda share: tick((1 + share) / 2))
+    tick(1.0)
+
+    rows = sorted(tried)
+    scored = Scored(
+        [Candidate(kinds[i], s) for i in rows for s in smoothings.tolist()],
+        np.concatenate([score(len(samples), tried[i].left_out, smoothings) for i in rows]),
+        np.concatenate([tried[i].variances for i in rows]),
+        np.concatenate([tried[i].restricted for i in rows]),
+    )
+    by_kind = dict(zip(rows, scored.shares.reshape(len(rows), -1), strict=True))
+    used = [i for i in rows if by_kind[i].any()]
     return combine(
         scored,
         [kernels[i] for i in used],
-        [spectra[i // batch].solve(i % batch, smoothings, by_kind[i]) for i in used],
+        [tried[i].spectra.solve(tried[i].row, smoothings, by_kind[i]) for i in used],
         spreads,
         samples.weights,
     )
+
+
+class _Tried(NamedTuple):
+    """A kernel in its eigenbasis, and its criteria for every smoothing, shape (m,) each."""
+
+    spectra: Spectra
+    row: int
+    restricted: FloatArray
+    left_out: FloatArray
+    variances: FloatArray
 
 
 def _grams(kernels: Sequence[Kernel], r2: FloatArray, spreads: FloatArray, levels: FloatArray) -> FloatArray:
