@@ -132,7 +132,24 @@ class Cover:
         """Where the run of each cell begins among ascending codes, and the end of the last, shape (patches + 1,)."""
         return np.append(np.searchsorted(codes, self.tree.codes), len(codes))
 
-    def members(self, patches: IntArray, u: FloatArray, runs: IntArray, margin: float) -> tuple[IntArray, IntArray]:
+    def squares(self, patches: IntArray, margin: float, most: float | None = None) -> tuple[FloatArray, FloatArray]:
+        """Lower left and upper right corners, shape (p, 2), of the patches' cells and a margin, in sides of the cell.
+
+        They end with the data's box. With `most`, at most 0.5, the margin is as wide as that opposite of where the box
+        cuts off the other.
+        """
+        start, end = self.frame.start, self.frame.start + self.frame.extent
+        centres, sides = self.centres[patches], self.sides[patches, None]
+        low, high = centres - (0.5 + margin) * sides, centres + (0.5 + margin) * sides
+        if most is not None:
+            left, right = low < start, high > end
+            low = np.where(right, centres - (0.5 + most) * sides, low)
+            high = np.where(left, centres + (0.5 + most) * sides, high)
+        return np.maximum(low, start), np.minimum(high, end)
+
+    def members(
+        self, patches: IntArray, u: FloatArray, runs: IntArray, low: FloatArray, high: FloatArray
+    ) -> tuple[IntArray, IntArray]:
         """Which places lie in which patch.
 
         Parameters
@@ -142,8 +159,8 @@ class Cover:
             Places in cells, inside the data's box, sorted by code.
         runs : ndarray of int
             What `runs` gave for those codes.
-        margin : float
-            How far a patch reaches beyond its cell, in sides of the cell, at most 0.5.
+        low, high : ndarray, shape (p, 2)
+            Corners of the patches, within the cells that touch (see `squares`).
 
         Returns
         -------
@@ -155,10 +172,10 @@ class Cover:
         counts = np.where(touching >= 0, runs[touching + 1] - first, 0)
         position = np.repeat(np.arange(len(patches)), counts.sum(axis=1))
         row = ragged(first.ravel(), counts.ravel())
-        reach = (self.sides[patches] * (0.5 + margin))[position]
-        mine = self.centres[patches[position]]
-        inside = np.abs(u[row, 0] - mine[:, 0]) <= reach
-        inside &= np.abs(u[row, 1] - mine[:, 1]) <= reach
+        inside = np.ones(len(row), dtype=bool)
+        for axis in range(2):
+            at = u[row, axis]
+            inside &= (at >= low[position, axis]) & (at <= high[position, axis])
         return position[inside], row[inside]
 
     def groups(self, patches: int) -> Iterator[IntArray]:

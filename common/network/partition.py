@@ -36,6 +36,9 @@ Tick: TypeAlias = Callable[[str, float], None]
 FIT_MARGIN = 0.3
 """How far the points of a patch reach beyond its cell, in sides of the cell; at most as far as the touching cells."""
 
+RIM_MARGIN = 0.5
+"""How far they reach away from the rim of the data, where there is nothing on the other side."""
+
 BLEND_MARGIN = 0.15
 """How far the weight of a patch reaches: less than its points, so that no patch is asked at its rim."""
 
@@ -73,7 +76,7 @@ LADDER: FloatArray = np.asarray(24.0 / 2.0 ** np.arange(7))
 """Spreads of the ladder in mean spacings; a patch is about ten spacings wide. A step of two is as good as the dense
 ladder's square root of two here, at half the cost, and a finer spread would pass for noise."""
 
-SINGLE = (1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
+SINGLE = (1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 16.0)
 """Single spreads tried, in mean spacings."""
 
 ROUGHNESS = (0.25, 0.5, 0.7, 0.85, 1.0, 1.25, 1.5, 2.0, 3.0)
@@ -512,7 +515,7 @@ class Partition:
             return rows[real], found, (wx * wy)[real], slope
 
         for patches in self.cover.groups(GROUP):
-            position, row = self.cover.members(patches, inside, runs, BLEND_MARGIN)
+            position, row = self.cover.members(patches, inside, runs, *self.cover.squares(patches, BLEND_MARGIN))
             for at, found, w, slope in in_order(work, self._queries(patches, position, row)):
                 np.add.at(total, at, w[:, None] * found)
                 np.add.at(weight, at, w)
@@ -578,13 +581,10 @@ def _runs(size: IntArray, budget: int) -> list[slice]:
 
 def _patches(cover: Cover, u: FloatArray, runs: IntArray, tick: Tick) -> tuple[IntArray, IntArray, FloatArray]:
     """Points of every patch: where they begin (patches + 1,), their rows, and the mean spacing of each patch."""
-    start, end = cover.frame.start, cover.frame.start + cover.frame.extent
 
     def gather(patches: IntArray) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-        position, row = cover.members(patches, u, runs, FIT_MARGIN)
-        reach = cover.sides[patches, None] * (0.5 + FIT_MARGIN)
-        low = np.maximum(cover.centres[patches] - reach, start)
-        high = np.minimum(cover.centres[patches] + reach, end)
+        low, high = cover.squares(patches, FIT_MARGIN, RIM_MARGIN)
+        position, row = cover.members(patches, u, runs, low, high)
         middle = (low + high) / 2
         quarter = (u[row, 0] > middle[position, 0]) + 2 * (u[row, 1] > middle[position, 1])
         counts = np.bincount(4 * position + quarter, minlength=4 * len(patches)).reshape(-1, 4)
@@ -610,9 +610,7 @@ def _with_borrowed(
 ) -> tuple[IntArray, IntArray]:
     """Add to each of the `poor` patches the points nearest to nine places of its square; mends their spacings."""
     nearest = KDTree(u, balanced_tree=False, compact_nodes=False)
-    reach = cover.sides[poor, None] * (0.5 + FIT_MARGIN)
-    low = np.maximum(cover.centres[poor] - reach, cover.frame.start)
-    high = np.minimum(cover.centres[poor] + reach, cover.frame.start + cover.frame.extent)
+    low, high = cover.squares(poor, FIT_MARGIN, RIM_MARGIN)
     thirds = np.array([(i, j) for i in (0.0, 0.5, 1.0) for j in (0.0, 0.5, 1.0)])
     places = low[:, None] + thirds * (high - low)[:, None]
     _, rows = nearest.query(places.reshape(-1, 2), k=range(1, min(BORROWED, len(u)) + 1))
