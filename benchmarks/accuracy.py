@@ -20,6 +20,7 @@ from benchmarks import terrain
 from common.metrics import nrmse, rmse
 from common.network import NetworkWarning, RBFNetwork
 from common.network.kernel import ladder_spreads, mean_spacing
+from common.network.partition import Partition
 from common.network.selection import SMOOTHINGS, TRUST, Samples, Spectra, families, rounding_floor, score
 from common.surface import FloatArray
 from sender.features import extract_features
@@ -315,6 +316,34 @@ def coverage(seeds: int) -> None:
     print("  columns, clean and noisy each: " + ", ".join(map(str, sizes)) + " points")
 
 
+def merging(seeds: int) -> None:
+    """Many noisy points of smooth surfaces: the network beside its patches alone."""
+    print("Many noisy points: RMSE over the noise's deviation, of the patches alone and of the network, and seconds")
+    print("  noise in per cent of the heights' deviation; medians")
+    for name in ("surface-3", "surface-2", "franke", "peaks"):
+        for n in (5000, 20_000, 100_000):
+            for level in (0.01, 0.05, 0.2):
+                rows = []
+                for seed in range(min(seeds, 3)):
+                    rng = np.random.default_rng(seed)
+                    cloud = SURFACES[name].sample(rng, n + 2000)
+                    X, Q, z = cloud[:n, :2], cloud[n:, :2], cloud[n:, 2]
+                    noise = level * float(z.std())
+                    y = cloud[:n, 2] + noise * rng.normal(size=n)
+                    start = time.perf_counter()
+                    patches = Partition.fit(X, y[:, None])
+                    middle = time.perf_counter()
+                    network = RBFNetwork().fit(X, y)
+                    end = time.perf_counter()
+                    errors = [rmse(z, patches.predict(Q)[:, 0]) / noise, rmse(z, network.predict(Q)) / noise]
+                    rows.append([*errors, middle - start, end - middle])
+                a = np.median(rows, axis=0)
+                print(
+                    f"  {name:10s} {n:7d} {100 * level:3.0f} %  {a[0]:6.3f} {a[1]:6.3f}   {a[2]:6.2f} s {a[3]:6.2f} s",
+                    flush=True,
+                )
+
+
 def speed(seeds: int) -> None:
     """Time of a fit beside GaussianProcessRegressor with its optimiser, noisy and clean sine."""
     print("Fit beside process regression, sin 2x + sin 2y: seconds, RMSE, ratio of times")
@@ -366,6 +395,7 @@ TABLES: dict[str, Callable[[int], None]] = {
     "wild": wild,
     "terrain": real,
     "coverage": coverage,
+    "merging": merging,
     "speed": speed,
     "exploded": exploded,
 }

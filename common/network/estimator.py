@@ -39,7 +39,8 @@ class RBFNetwork(Conventions):
     f(x) = b + sum_l sum_j c_lj exp(-|x - x_j|^2 / 2 s_l^2)
 
     Of more than `fitting.DENSE` points in the plane the surface is a partition of unity of many such networks (see
-    `Partition`), unless fewer centres than points are asked for.
+    `Partition`), unless fewer centres than points are asked for. Noisy points of a smooth surface are merged, and their
+    means are the centres of one network (see `coarsening`).
 
     Parameters
     ----------
@@ -63,7 +64,8 @@ class RBFNetwork(Conventions):
     Attributes
     ----------
     centers_ : ndarray, shape (n_centers, d)
-        With the autoassociative mapping shape (n_centers, d + 1), the value last.
+        With the autoassociative mapping shape (n_centers, d + 1), the value last. Mean positions where points are
+        merged.
     coefficients_ : ndarray, shape (n_centers,) or (n_centers, k); a leading axis of levels where there are several
         Of a partition: those of each patch in turn, the amplitudes of the levels left out.
     spread_ : float or ndarray, shape (levels,)

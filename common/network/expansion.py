@@ -61,12 +61,17 @@ class Expansion:
 
     def predict_std(self, X: FloatArray) -> FloatArray:
         """Deviation of the surface at X (m, d), without the noise of a new measurement, shape (m, k)."""
+        variance = self.variance * self.posterior_variance(X)
+        return np.asarray(np.sqrt(self.calibration**2 * variance[:, None] + self.excess))
+
+    def posterior_variance(self, X: FloatArray) -> FloatArray:
+        """Variance at X (m, d) over that of the surface, as the kernel has it, shape (m,)."""
         if self._factor is None:
             self._factor = Dense(self.kernel.gram(self.support), self.weights, self.smoothing)
         variance = np.empty(len(X))
         for part in chunks(len(X), len(self.support)):
             variance[part] = self._factor.posterior_variance(self.kernel.gram(self.support, X[part]))
-        return np.asarray(np.sqrt(self.calibration**2 * self.variance * variance[:, None] + self.excess))
+        return variance
 
     def to_state(self) -> dict[str, np.ndarray[Any, Any]]:
         """Everything, as arrays that `numpy.savez` takes without pickling."""

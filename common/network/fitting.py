@@ -12,7 +12,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from common.errors import TrainingError
-from common.network import evaluation, greedy, robust, search
+from common.network import coarsening, evaluation, greedy, robust, search
 from common.network.autoassociative import Lifted
 from common.network.calibration import calibrated
 from common.network.expansion import Expansion
@@ -186,8 +186,18 @@ def _train_dense(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
         fit = _select(samples, wanted, tick)
     fit, outliers = robust.set_aside(samples, fit, lambda part, quick: _select(part, wanted, tick, quick=quick))
     samples = samples.without(outliers)
+    network = _expansion(samples, fit)
+    trained = Trained(network, outliers, np.zeros(0), notes=notes)
+    if wanted.sparse:
+        _thin(trained, network, samples, wanted, tick)
+    tick("solve", 1.0)
+    return trained
+
+
+def _expansion(samples: Samples, fit: Fit) -> Expansion:
+    """The fit of these samples, every one a centre."""
     calibration = calibrated(samples.X, fit)
-    network = Expansion(
+    return Expansion(
         centers=samples.X,
         spreads=fit.spreads,
         coefficients=fit.coefficients,
@@ -200,11 +210,6 @@ def _train_dense(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
         calibration=calibration.factor,
         excess=calibration.excess,
     )
-    trained = Trained(network, outliers, np.zeros(0), notes=notes)
-    if wanted.sparse:
-        _thin(trained, network, samples, wanted, tick)
-    tick("solve", 1.0)
-    return trained
 
 
 def _train_sparse(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
@@ -280,7 +285,26 @@ def _train_partition(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
         if agreed.any():
             outliers = outliers[~agreed]
             network = _partition(samples.without(outliers), wanted, tick)
-    return Trained(network, outliers, np.zeros(0), notes=notes)
+    trained = Trained(network, outliers, np.zeros(0), notes=notes)
+    if wanted.spread is None and wanted.smoothing is None:
+        _coarsen(trained, network, samples.without(outliers), wanted, tick)
+    return trained
+
+
+def _coarsen(trained: Trained, network: Partition, samples: Samples, wanted: Wanted, tick: Tick) -> None:
+    """One network of merged samples instead of the partition, where that is more accurate."""
+
+    def told(_stage: str, share: float) -> None:
+        tick("merging", share)
+
+    trained.network = coarsening.coarsened(
+        network,
+        samples,
+        lambda part, quick: _expansion(part, _select(part, wanted, told, quick=quick)),
+        lambda part: _partition(part, wanted, told),
+    )
+    if trained.network is not network:
+        trained.stop_reason = "every mean of merged points is a centre"
 
 
 def _partition(samples: Samples, wanted: Wanted, tick: Tick) -> Partition:

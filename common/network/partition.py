@@ -335,28 +335,35 @@ class Partition:
     def _calibrate(self, values: FloatArray) -> None:
         """Factor and detail from the leave-one-out residuals in the cells of a sample of patches."""
         sample = np.random.default_rng(0).permutation(len(self))[:CHECKED]
-        levels = Levels(self.kernel)
-
-        def left_out(patch: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-            points, slots, _ = self._batch(np.array([patch]))
-            members = self.members[slots[0]]
-            matrix = levels.matrix(points, points)[0]
-            matrix[np.diag_indices(len(matrix))] += self.smoothing[patch] / self.weights[members]
-            inverse = np.linalg.inv(matrix)
-            one = inverse.sum(axis=1)
-            diagonal = np.maximum(np.diag(inverse) - one**2 / one.sum(), local.TINY)
-            amplitude = np.maximum(self.amplitude[patch], local.TINY)
-            ratios = self.coefficients[slots[0]] / np.sqrt(diagonal)[:, None] / amplitude
-            places = self.u[members]
-            mine = np.all(np.abs(places - self.cover.centres[patch]) <= self.cover.sides[patch] / 2, axis=1)
-            return places[mine], ratios[mine], np.broadcast_to(self.smoothing[patch] * amplitude**2, ratios.shape)[mine]
-
-        found = parallel(left_out, sample.tolist())
-        places, ratios, smoothed = (np.concatenate(part) for part in zip(*found, strict=True))
+        found = parallel(self.left_out, sample.tolist())
+        rows, _, _, ratios = (np.concatenate(part) for part in zip(*found, strict=True))
+        counts = [len(part[0]) for part in found]
+        amplitude = np.maximum(self.amplitude[sample], local.TINY)
+        smoothed = np.repeat(self.smoothing[sample, None] * amplitude**2, counts, axis=0)
         self.factor, self.detail = calibration.factor(ratios), np.ones(values.shape[1])
         noisy = np.median(smoothed, axis=0) > calibration.DETAIL * values.var(axis=0)
         if noisy.any():
-            self.detail[noisy] = 1 - calibration.noise_share(places, ratios)[noisy]
+            self.detail[noisy] = 1 - calibration.noise_share(self.u[rows], ratios)[noisy]
+
+    def left_out(self, patch: int) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+        """The points in the cell of a patch, and what the patch says of each without it.
+
+        Returns their rows (m,) of `u`, their values (m, k), the deviations (m, k) that the residuals should have, and
+        the residuals over them (m, k).
+        """
+        points, slots, _ = self._batch(np.array([patch]))
+        members, coefficients = self.members[slots[0]], self.coefficients[slots[0]]
+        matrix = Levels(self.kernel).matrix(points, points)[0]
+        matrix[np.diag_indices(len(matrix))] += self.smoothing[patch] / self.weights[members]
+        inverse = np.linalg.inv(matrix)
+        one = inverse.sum(axis=1)
+        diagonal = np.maximum(np.diag(inverse) - one**2 / one.sum(), local.TINY)[:, None]
+        amplitude = np.maximum(self.amplitude[patch], local.TINY)
+        deviations = amplitude / np.sqrt(diagonal)
+        ratios = coefficients / np.sqrt(diagonal) / amplitude
+        mine = np.all(np.abs(self.u[members] - self.cover.centres[patch]) <= self.cover.sides[patch] / 2, axis=1)
+        values = matrix @ coefficients + self.bias[patch]
+        return members[mine], values[mine], deviations[mine], ratios[mine]
 
     def predict_grid(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Values on a grid, shape (len(y), len(x), k): patch by patch, each a matrix product.
