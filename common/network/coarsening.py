@@ -50,6 +50,9 @@ PATCH = round((1 + 2 * FIT_MARGIN) * CELL_POINTS**0.5)
 LATTICE = 16
 """Rows of means that stand for a network: what is further off tells the middle no more."""
 
+EXACT = 1e-10
+"""Smoothing up to which points have no noise: a thousand times what rounding needs."""
+
 LEAST = 4
 """Points merged into one at least: where that many promise nothing more do not either."""
 
@@ -99,7 +102,7 @@ def coarsened(
     cut : callable
         ``cut(samples)``: a partition of them.
     """
-    if _share(partition, LEAST) >= 1:
+    if np.median(partition.smoothing) <= EXACT or _share(partition, LEAST) >= 1:
         return partition
     afforded = [squares for squares in SQUARES if squares**3 <= WORTH * len(samples)]
     for squares in afforded:

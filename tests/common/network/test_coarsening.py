@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NoReturn
 
 import numpy as np
 import pytest
 
 from common.network import RBFNetwork
-from common.network.coarsening import Bins
+from common.network.coarsening import Bins, coarsened
 from common.network.estimator import merge_repeated
 from common.network.fitting import Wanted, train
 from common.network.partition import Partition
@@ -74,6 +75,18 @@ def test_clean_points_and_rough_surfaces_keep_their_patches(
     kept = train(samples, Wanted(), lambda _stage, _share: None).network
     assert isinstance(kept, Partition)
     np.testing.assert_array_equal(kept.predict(Q), Partition.fit(X, y[:, None]).predict(Q))
+
+
+@pytest.mark.parametrize("f", [sine, bowl])
+@pytest.mark.parametrize("n", [4100, 5000, N])
+def test_clean_points_cost_no_fit(f: Callable[[FloatArray], FloatArray], n: int) -> None:
+    samples = Samples(X[:n], f(X[:n])[:, None], np.ones(n))
+    patches = Partition.fit(samples.X, samples.y)
+
+    def refused(*_: object) -> NoReturn:
+        raise AssertionError
+
+    assert coarsened(patches, samples, refused, refused) is patches
 
 
 def test_a_detail_in_a_small_part_keeps_the_patches() -> None:
