@@ -377,7 +377,8 @@ def average(
     tried: dict[int, _Tried] = {}
 
     def trial(rows: Sequence[int], tell: Callable[[float], None]) -> None:
-        batch = max(1, min(_BATCH // max(1, len(samples) ** 2), -(-len(rows) // _PARTS)))
+        values = max(1, len(samples) ** 2)
+        batch = max(1, min(_BATCH // values, max(_LEAST // values, -(-len(rows) // _PARTS))))
 
         def work(start: int) -> list[_Tried]:
             part = [kernels[i] for i in rows[start : start + batch]]
@@ -536,5 +537,8 @@ def _summed(parts: Sequence[tuple[float, FloatArray]]) -> tuple[FloatArray, Floa
 _BATCH = 2_000_000
 """Kernel values decomposed at once: 16 MB an array."""
 
+_LEAST = 100_000
+"""Kernel values below which a part is not worth a thread."""
+
 _PARTS = 4
-"""Parts that the kernels are decomposed in, at least, side by side."""
+"""Parts that the kernels are decomposed in, at least, side by side, where they are large enough."""
