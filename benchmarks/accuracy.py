@@ -1,5 +1,7 @@
 """How accurate the network is: tables beside the methods that a Python user would pick, run in the same process.
 
+`benchmarks.network` has the speed, and random samples of every size.
+
     python -m benchmarks.accuracy [--table NAME ...] [--seeds N]
 
 Each table prints medians over the seeds. Errors are RMSE against the truth, relative ones over the range of the truth.
@@ -59,19 +61,6 @@ def plate(X: FloatArray, y: FloatArray, Q: FloatArray, smoothing: float = 0.0) -
 def linear_rbf(X: FloatArray, y: FloatArray, Q: FloatArray, smoothing: float = 0.0) -> FloatArray:
     """SciPy's RBFInterpolator with the kernel -r."""
     return np.asarray(RBFInterpolator(X, y, kernel="linear", smoothing=smoothing)(Q))
-
-
-def process(X: FloatArray, y: FloatArray, Q: FloatArray) -> FloatArray:
-    """scikit-learn's GaussianProcessRegressor with its optimiser: constant times RBF plus white noise."""
-    return np.asarray(_process().fit(X, y).predict(Q))
-
-
-def _process() -> RBFNetwork:
-    from sklearn.gaussian_process import GaussianProcessRegressor
-    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
-
-    kernel = ConstantKernel(1.0, (1e-3, 1e5)) * RBF() + WhiteKernel(1e-3, (1e-12, 1e1))
-    return GaussianProcessRegressor(kernel, normalize_y=True)  # type: ignore[no-any-return]
 
 
 def received(name: str, noise: str, seed: int) -> tuple[FloatArray, FloatArray]:
@@ -170,26 +159,6 @@ def features(seeds: int) -> None:
             ratio = float(np.median(table[:, 0] / table[:, 1:].min(axis=1)))
             figures = " ".join(f"{value:9.4f}" for value in np.median(table, axis=0))
             print(f"{name:10s} {noise:6s} {ratio:7.2f} {target:7.2f} {figures}{'' if ratio <= target else '  missed'}")
-
-
-def random_samples(seeds: int) -> None:
-    """Random samples of growing number, no noise: RMSE beside interpolators and process regression."""
-    print("Random samples: RMSE (sine and surface 2 in their unit, elevation in metres)")
-    print(f"{'':10s} {'n':>6s} {'network':>9s} {'plate':>9s} {'linear':>9s} {'process':>9s} {'ratio':>7s}")
-    for name, key in (("sine", "surface-3"), ("surface 2", "surface-2"), ("elevation", "elevation")):
-        for n in (50, 200, 500, 2000, 5000):
-            rows = []
-            for seed in range(seeds if n <= 500 else min(seeds, 3)):
-                rng = np.random.default_rng(seed)
-                cloud = SURFACES[key].sample(rng, n + 4000)
-                X, y, Q, z = cloud[:n, :2], cloud[:n, 2], cloud[n:, :2], cloud[n:, 2]
-                methods: list[Callable[[FloatArray, FloatArray, FloatArray], FloatArray]] = [ours, plate, linear_rbf]
-                row = [rmse(z, method(X, y, Q)) for method in methods]
-                row.append(rmse(z, process(X, y, Q)) if n <= 500 else np.inf)
-                rows.append(row)
-            median = np.median(rows, axis=0)
-            ratio = float(np.median([row[0] / min(row[1:]) for row in rows]))
-            print(f"{name:10s} {n:6d} " + " ".join(f"{value:9.2e}" for value in median) + f" {ratio:7.2f}")
 
 
 def noise(seeds: int) -> None:
@@ -344,34 +313,6 @@ def merging(seeds: int) -> None:
                 )
 
 
-def speed(seeds: int) -> None:
-    """Time of a fit beside GaussianProcessRegressor with its optimiser, noisy and clean sine."""
-    print("Fit beside process regression, sin 2x + sin 2y: seconds, RMSE, ratio of times")
-    for n, target in ((50, 0.5), (500, 0.2), (2000, 0.05)):
-        for level in (0.0, 0.05):
-            if n == 2000 and level == 0.0:
-                continue
-            rng = np.random.default_rng(0)
-            cloud = SURFACES["surface-3"].sample(rng, n + 2000)
-            X, y, Q, z = cloud[:n, :2], cloud[:n, 2] + level * rng.normal(size=n), cloud[n:, :2], cloud[n:, 2]
-            repeats = max(1, min(seeds, 2000 // n))
-            own, network = _timed(RBFNetwork(), X, y, repeats)
-            other, model = _timed(_process(), X, y, 1 if n > 500 else min(3, repeats))
-            print(
-                f"  n {n:5d} noise {level:.2f}: {own:8.4f} s {rmse(z, network.predict(Q)):.2e}  process {other:8.4f} s "
-                f"{rmse(z, model.predict(Q)):.2e}   ratio {own / other:.3f} (target {target})"
-            )
-
-
-def _timed(model: RBFNetwork, X: FloatArray, y: FloatArray, repeats: int) -> tuple[float, RBFNetwork]:
-    seconds = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        model.fit(X, y)
-        seconds.append(time.perf_counter() - start)
-    return float(np.median(seconds)), model
-
-
 def exploded(_seeds: int) -> None:
     """The elevation grid, 2,000 samples, spread of 3 mean spacings, no smoothing: what plain solvers do silently."""
     rng = np.random.default_rng(0)
@@ -390,13 +331,11 @@ def exploded(_seeds: int) -> None:
 TABLES: dict[str, Callable[[int], None]] = {
     "features": features,
     "criterion": criterion,
-    "random": random_samples,
     "noise": noise,
     "wild": wild,
     "terrain": real,
     "coverage": coverage,
     "merging": merging,
-    "speed": speed,
     "exploded": exploded,
 }
 
