@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
@@ -17,6 +18,9 @@ Repeated: TypeAlias = Literal["error", "mean", "min", "max"]
 
 Extracted: TypeAlias = Literal["extrema", "lattice", "cloud"]
 """The kinds of feature set that `extract_features` makes."""
+
+Heights: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
+"""(x, y) -> z, all of one shape."""
 
 EMPTY_PIECES = 100
 """Pieces a point on average at most: beyond that nearly every piece is empty, every point a feature, and the gap a
@@ -167,7 +171,7 @@ def extract_features(
             f"all of them empty; choose about {usual:.2g}, or at least {usual / math.sqrt(2 * EMPTY_PIECES):.2g}"
         )
     if kind == "lattice":
-        return FeatureSet(_lattice(points, region, rows, columns), region, gap, kind, units)
+        return lattice(linear_heights(points, region), gap, region, units)
     piece = piece_of(points, region, gap)
     order = np.lexsort((points[:, 1], points[:, 0], points[:, 2], piece))
     first = np.flatnonzero(np.diff(piece[order], prepend=-1))
@@ -175,15 +179,30 @@ def extract_features(
     return FeatureSet(points[order[np.unique([first, last])]], region, gap, kind, units)
 
 
-def _lattice(points: FloatArray, region: Region, rows: int, columns: int) -> FloatArray:
-    """A point in the middle of each of `rows` x `columns` pieces, shape (rows * columns, 3), row by row."""
+def linear_heights(points: FloatArray, region: Region) -> Heights:
+    """Heights between points, shape (n, 3), linear on triangles; beyond their convex hull that of the nearest."""
+    low, extent = np.array([region.x_min, region.y_min]), np.array([region.width, region.height])
+    # A region far from square would have its triangles judged by slivers.
+    scaled = (points[:, :2] - low) / extent
+    inside, beyond = LinearNDInterpolator(scaled, points[:, 2]), NearestNDInterpolator(scaled, points[:, 2])
+
+    def heights(x: FloatArray, y: FloatArray) -> FloatArray:
+        at = (x - low[0]) / extent[0], (y - low[1]) / extent[1]
+        z = np.asarray(inside(*at))
+        return np.where(np.isnan(z), beyond(*at), z)
+
+    return heights
+
+
+def lattice(heights: Heights, gap: float, region: Region, units: Units = Units()) -> FeatureSet:
+    """One point in the middle of each of the pieces that a region is evenly cut into, about `gap` wide; row by row.
+
+    It is what `extract_features` makes, for heights that are known already: whoever tries several gaps triangulates
+    once.
+    """
+    rows, columns = region.pieces(gap)
     x, y = np.meshgrid(
         region.x_min + (np.arange(columns) + 0.5) * (region.width / columns),
         region.y_min + (np.arange(rows) + 0.5) * (region.height / rows),
     )
-    # A region far from square would have its triangles judged by slivers.
-    scaled = (points[:, :2] - (region.x_min, region.y_min)) / (region.width, region.height)
-    at = (x - region.x_min) / region.width, (y - region.y_min) / region.height
-    z = LinearNDInterpolator(scaled, points[:, 2])(*at)
-    z = np.where(np.isnan(z), NearestNDInterpolator(scaled, points[:, 2])(*at), z)
-    return np.column_stack([x.ravel(), y.ravel(), z.ravel()])
+    return FeatureSet(np.column_stack([x.ravel(), y.ravel(), heights(x, y).ravel()]), region, gap, "lattice", units)

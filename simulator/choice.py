@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeAlias
 
 import numpy as np
-from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from common.errors import ParameterError
 from common.surface import FeatureSet, FloatArray, Region
 from common.wire import WireOptions, encode
-from sender.features import extract_features
+from sender.features import extract_features, lattice, linear_heights, merge_repeated
 from simulator.campaign import FeatureSettings
 
 
@@ -39,7 +37,7 @@ def choose_features(
 
     if settings.kind == "lattice":
         # Triangulated once; a budget tries several lattices.
-        heights = linear_heights(cloud)
+        heights = linear_heights(merge_repeated(cloud), region)
 
     def extract(gap: float) -> FeatureSet:
         if settings.kind == "lattice":
@@ -52,32 +50,6 @@ def choose_features(
     if gap is None:
         raise ParameterError("features of a file or a field need gap, pieces or budget")
     return extract(gap)
-
-
-Heights: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
-"""(x, y) -> z, of one shape."""
-
-
-def linear_heights(cloud: FloatArray) -> Heights:
-    """Heights between the points of a cloud, shape (n, 3), linear on triangles; beyond them that of the nearest."""
-    inside = LinearNDInterpolator(cloud[:, :2], cloud[:, 2])
-    beyond = NearestNDInterpolator(cloud[:, :2], cloud[:, 2])
-
-    def heights(x: FloatArray, y: FloatArray) -> FloatArray:
-        z = np.asarray(inside(x, y))
-        return np.where(np.isnan(z), beyond(x, y), z)
-
-    return heights
-
-
-def lattice(heights: Heights, gap: float, region: Region) -> FeatureSet:
-    """The heights at the centres of the pieces that a region is evenly cut into, about `gap` wide; row by row."""
-    rows, columns = region.pieces(gap)
-    x = region.x_min + (np.arange(columns) + 0.5) * (region.width / columns)
-    y = region.y_min + (np.arange(rows) + 0.5) * (region.height / rows)
-    across, along = np.meshgrid(x, y)
-    points = np.column_stack([across.ravel(), along.ravel(), heights(across, along).ravel()])
-    return FeatureSet(points, region, gap, "lattice")
 
 
 def _finest(extract: Callable[[int], FeatureSet], points: int, budget: int, wire: WireOptions) -> FeatureSet:

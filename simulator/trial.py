@@ -22,11 +22,11 @@ from common.errors import ConflictError, LimitError, NotReadyError, ParameterErr
 from common.metrics import max_error, nrmse, rmse
 from common.surface import FeatureSet, FloatArray, HeightGrid, Region, as_points
 from common.wire import PacketDecoder, Reassembly, WireOptions, encode
-from sender.features import merge_repeated
+from sender.features import linear_heights, merge_repeated
 from sender.readers import read_points
 from sender.surfaces import GriddedSurface, find_surface
 from simulator.campaign import CodecSettings, FeatureSettings, SurfaceChoice, Trial
-from simulator.choice import choose_features, linear_heights
+from simulator.choice import choose_features
 from simulator.codecs import Message, Sandbox, best
 from simulator.codecs.protection import find_protection
 from simulator.codecs.survival import expose
@@ -136,7 +136,7 @@ def _source(choice: SurfaceChoice) -> Source:
 
     def truth(shape: tuple[int, int]) -> HeightGrid:
         x, y = region.axes(shape)
-        z = linear_heights(cloud)(*np.meshgrid(x, y))
+        z = linear_heights(cloud, region)(*np.meshgrid(x, y))
         return HeightGrid(x, y, z)
 
     def sample(rng: np.random.Generator, n: int) -> FloatArray:

@@ -10,8 +10,10 @@ import pytest
 
 from common.errors import FileFormatError, ParameterError
 from common.surface import Region
-from simulator.campaign import Campaign, Trial
-from simulator.choice import lattice, linear_heights
+from common.wire import WireOptions
+from sender.features import extract_features
+from simulator.campaign import Campaign, FeatureSettings, Trial
+from simulator.choice import choose_features
 from simulator.runner import Cell, Run
 from simulator.sweep import code_digest, plan_of_options, run_campaign
 from simulator.table import COLUMNS, from_csv, to_csv, write_parquet
@@ -319,8 +321,10 @@ def test_a_raster_that_cannot_be_decoded_is_a_failure() -> None:
     assert row["nrmse"] is None
 
 
-def test_a_lattice_carries_the_heights_at_the_centres_of_the_pieces() -> None:
-    cloud = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 2.0], [0.0, 1.0, 3.0], [2.0, 1.0, 5.0]])
-    features = lattice(linear_heights(cloud), 1.0, Region(0, 2, 0, 1))
-    np.testing.assert_allclose(features.points, [[0.5, 0.5, 2.0], [1.5, 0.5, 3.0]])
-    assert features.kind == "lattice"
+def test_a_lattice_is_the_senders() -> None:
+    region = Region(0.0, 6.0, 0.0, 1.0)
+    cloud = np.random.default_rng(0).random((400, 3)) * (6.0, 1.0, 1.0)
+    chosen = choose_features(cloud, region, FeatureSettings(kind="lattice", pieces=12), WireOptions(), None)
+    expected = extract_features(cloud, gap=0.5, kind="lattice", region=region)
+    np.testing.assert_array_equal(chosen.points, expected.points)
+    assert (chosen.kind, chosen.gap, chosen.region) == (expected.kind, expected.gap, expected.region)
