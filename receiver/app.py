@@ -157,7 +157,7 @@ async def transmit(
 async def list_surfaces(
     here: Here,
     limit: Annotated[int, Query(ge=1, le=1_000, description="Most surfaces to list.")] = 100,
-    before: Annotated[int | None, Query(ge=0, description="Where an earlier list's `next` goes on.")] = None,
+    before: Annotated[int | None, Query(ge=0, lt=2**63, description="Where an earlier list's `next` goes on.")] = None,
 ) -> schemas.SurfaceList:
     """The surfaces that are kept, the latest first."""
     return await here.list(before=before, limit=limit)
