@@ -198,7 +198,7 @@ def lattice(heights: Heights, gap: float, region: Region, units: Units = Units()
     """One point in the middle of each of the pieces that a region is evenly cut into, about `gap` wide; row by row.
 
     It is what `extract_features` makes, for heights that are known already: whoever tries several gaps triangulates
-    once.
+    once. It does not know the points, and so does not say whether the gap suits them.
     """
     rows, columns = region.pieces(gap)
     x, y = np.meshgrid(

@@ -28,6 +28,7 @@ from common.network.cover import CELL_POINTS
 from common.network.dense import Dense
 from common.network.expansion import Expansion
 from common.network.kernel import Kernel
+from common.network.local import BoolArray
 from common.network.partition import FIT_MARGIN, Partition
 from common.network.selection import TINY, Samples
 from common.network.threads import parallel
@@ -74,6 +75,9 @@ CERTAIN = 3.0
 TOLD = 0.1
 """Share of the smoothing above which it is detail: a sample of patches tells it from none so exactly."""
 
+AIMED = 12
+"""Trials of a lattice most of whose squares are empty."""
+
 FINER = 4
 """Squares of the closer look in one square, at most."""
 
@@ -89,6 +93,7 @@ def coarsened(
     samples: Samples,
     fit: Callable[[Samples, bool], Expansion],
     cut: Callable[[Samples], Partition],
+    tick: Callable[[float], None],
 ) -> Expansion | Partition:
     """One network of merged samples where that is better than the partition of all, else the partition.
 
@@ -101,21 +106,28 @@ def coarsened(
         ``fit(samples, quick)``: a dense network of them; a quick one may be less accurate.
     cut : callable
         ``cut(samples)``: a partition of them.
+    tick : callable
+        ``tick(fraction)`` of what is tried, if anything is.
     """
     if np.median(partition.smoothing) <= EXACT or _share(partition, LEAST) >= 1:
         return partition
     afforded = [squares for squares in SQUARES if squares**3 <= WORTH * len(samples)]
-    for squares in afforded:
+    # Of a constant output there is nothing to know, and rounding is its noise.
+    varying = np.ptp(samples.y, axis=0) > 0
+    for done, squares in enumerate(afforded):
+        tick(done / len(afforded))
         bound = HOPEFUL if squares == afforded[-1] else 1.0
         if not _promising(partition, samples, squares, bound, cut):
             continue
         bins = Bins.of(samples, squares)
         network = fit(bins.straightened(fit(bins.samples, True)), False)
-        if _better(network, partition) and not _misses(network, samples, len(bins.samples)):
+        if _better(network, partition, varying) and not _misses(network, samples, bins, varying):
             # What is finer than the points is told by the points, not by their means.
             detail = np.where(partition.detail > TOLD, partition.detail, 0.0)
             network.excess = network.calibration**2 * network.smoothing * network.variance * detail
+            tick(1.0)
             return network
+    tick(1.0)
     return partition
 
 
@@ -142,13 +154,19 @@ class Bins:
 
     @classmethod
     def of(cls, samples: Samples, squares: int) -> Self:
-        """Merge the samples by at most so many squares over their box."""
+        """Merge the samples by about so many squares that hold any."""
         X, low, box = samples.X, samples.X.min(axis=0), np.ptp(samples.X, axis=0)
-        side = max(float(np.sqrt(box[0] * box[1] / squares)), float(box.max()) / squares)
-        columns, rows = np.maximum((box / side + 1e-9).astype(np.int64), 1).tolist()
-        place = (X - low) / np.where(box > 0, box, 1.0) * (columns, rows)
-        column, row = np.minimum(place.astype(np.int64), (columns - 1, rows - 1)).T
-        _, square, counts = np.unique(column * rows + row, return_inverse=True, return_counts=True)
+        aimed = squares
+        for _ in range(AIMED):
+            side = max(float(np.sqrt(box[0] * box[1] / aimed)), float(box.max()) / aimed)
+            columns, rows = np.maximum((box / side + 1e-9).astype(np.int64), 1).tolist()
+            place = (X - low) / np.where(box > 0, box, 1.0) * (columns, rows)
+            column, row = np.minimum(place.astype(np.int64), (columns - 1, rows - 1)).T
+            _, square, counts = np.unique(column * rows + row, return_inverse=True, return_counts=True)
+            if squares / 2 <= len(counts) <= squares or len(counts) == len(X):
+                break
+            # Where most of the box is empty, or a single point is far away, the squares have to be smaller.
+            aimed = min(round(aimed * squares / len(counts)), 1 << 60)
         weights = np.asarray(np.bincount(square, samples.weights), dtype=np.float64)
 
         def mean(column: FloatArray) -> FloatArray:
@@ -212,25 +230,27 @@ def _left(kernel: Kernel, smoothing: float, rows: int) -> float:
     return float(dense.posterior_variance(kernel.gram(X, places)).mean())
 
 
-def _better(network: Expansion, partition: Partition) -> bool:
+def _better(network: Expansion, partition: Partition, varying: BoolArray) -> bool:
     """Whether the network knows the points of a sample of patches better than these do, each without the point."""
     patches = np.random.default_rng(0).permutation(len(partition))[:ASKED]
     left_out = parallel(partition.left_out, patches.tolist())
     rows, values, deviations, ratios = (np.concatenate(part) for part in zip(*left_out, strict=True))
     X, weights = partition.centers[rows], partition.weights[rows]
-    # How much of the network's value at a point is the point's own: its share in the mean that it was merged into.
+    # How much of the network's value at a point is the point's own: its share in the nearest mean.
     means = KDTree(network.support).query(X)[1]
     own = weights * network.posterior_variance(network.support)[means] / network.smoothing
     alone = (values - network.predict(X)) / np.maximum(1 - own, UNTOLD)[:, None]
     gains = weights[:, None] * ((deviations * ratios) ** 2 - alone**2)
     gain = np.zeros((len(patches), gains.shape[1]))
     np.add.at(gain, np.repeat(np.arange(len(patches)), [len(part[0]) for part in left_out]), gains)
-    return bool(np.all(gain.sum(axis=0) > CERTAIN * np.sqrt(np.square(gain).sum(axis=0))))
+    sure = gain.sum(axis=0) > CERTAIN * np.sqrt(np.square(gain).sum(axis=0))
+    return bool(np.all(sure[varying]))
 
 
-def _misses(network: Expansion, samples: Samples, squares: int) -> bool:
+def _misses(network: Expansion, samples: Samples, bins: Bins, varying: BoolArray) -> bool:
     """Whether means of finer squares are further off the network than noise explains."""
+    squares = len(bins.samples)
     finer = Bins.of(samples, int(np.clip(len(samples) // AVERAGED, squares, FINER * squares)))
     noise = finer.scatter.sum(axis=0) / max(1, int((finer.counts - 1).sum()))
     away = np.abs(finer.samples.y - finer.means(network)) * np.sqrt(finer.samples.weights)[:, None]
-    return bool(np.any(away > MISSED * np.sqrt(noise)))
+    return bool(np.any((away > MISSED * np.sqrt(noise))[:, varying]))

@@ -49,7 +49,7 @@ class Frame:
     @property
     def start(self) -> FloatArray:
         """Where the data's box begins: what the cells are too wide is shared by both ends."""
-        return np.asarray((self.cells - self.extent) / 2)
+        return np.asarray(np.maximum(self.cells - self.extent, 0.0) / 2)
 
     @property
     def bits(self) -> int:
@@ -145,7 +145,9 @@ class Cover:
             left, right = low < start, high > end
             low = np.where(right, centres - (0.5 + most) * sides, low)
             high = np.where(left, centres + (0.5 + most) * sides, high)
-        return np.maximum(low, start), np.minimum(high, end)
+        # Balancing makes cells that lie outside of the box, too.
+        low = np.maximum(low, start)
+        return low, np.maximum(low, np.minimum(high, end))
 
     def members(
         self, patches: IntArray, u: FloatArray, runs: IntArray, low: FloatArray, high: FloatArray

@@ -293,15 +293,22 @@ def _train_partition(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
 
 def _coarsen(trained: Trained, network: Partition, samples: Samples, wanted: Wanted, tick: Tick) -> None:
     """One network of merged samples instead of the partition, where that is more accurate."""
+    reached = 0.0
 
-    def told(_stage: str, share: float) -> None:
-        tick("merging", share)
+    def step(share: float) -> None:
+        nonlocal reached
+        reached = share
+        tick("merging", reached)
+
+    def told(_stage: str, _share: float) -> None:
+        tick("merging", reached)
 
     trained.network = coarsening.coarsened(
         network,
         samples,
         lambda part, quick: _expansion(part, _select(part, wanted, told, quick=quick)),
         lambda part: _partition(part, wanted, told),
+        step,
     )
     if trained.network is not network:
         trained.stop_reason = "every mean of merged points is a centre"

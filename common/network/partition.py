@@ -24,6 +24,7 @@ from scipy.spatial import KDTree
 from common.errors import TrainingError
 from common.network import calibration, local
 from common.network.cover import Cover, Frame, frame_for, ragged, step
+from common.network.dense import Dense
 from common.network.kernel import Kernel, rough_amplitudes
 from common.network.local import CACHED, FAR, BoolArray, Levels
 from common.network.quadtree import DEEPEST, Quadtree
@@ -322,6 +323,11 @@ class Partition:
                 solved = local.solve(points, self.smoothing[patches, None] / share, real, y, levels)
                 if solved is not None:
                     break
+                if len(patches) > 1:
+                    # Which of them it was is not known, and the others need no more smoothing.
+                    for part in np.array_split(patches, 2):
+                        work(part)
+                    return
                 self.smoothing[patches] = 10 * np.maximum(self.smoothing[patches], _floor(points.shape[1]))
             else:
                 raise TrainingError("the kernel matrix of a patch is not positive definite, whatever the smoothing")
@@ -329,7 +335,10 @@ class Partition:
             self.bias[patches] = middle + solved.bias
             self.coefficients[slots[real]] = solved.coefficients.transpose(0, 2, 1)[real]
 
-        batches = [order[start : start + BATCH] for start in range(0, len(order), BATCH)]
+        # The values stand below the matrix: many outputs make it larger.
+        largest = int(np.diff(self.starts).max())
+        size = max(1, round(BATCH * (largest / (largest + outputs)) ** 2))
+        batches = [order[start : start + size] for start in range(0, len(order), size)]
         parallel(work, batches, tick=lambda fraction: tick("solve", fraction))
 
     def _calibrate(self, values: FloatArray) -> None:
@@ -343,7 +352,8 @@ class Partition:
         self.factor, self.detail = calibration.factor(ratios), np.ones(values.shape[1])
         noisy = np.median(smoothed, axis=0) > calibration.DETAIL * values.var(axis=0)
         if noisy.any():
-            self.detail[noisy] = 1 - calibration.noise_share(self.u[rows], ratios)[noisy]
+            told = ratios / np.maximum(self.factor, local.TINY)
+            self.detail[noisy] = 1 - calibration.noise_share(self.u[rows], told)[noisy]
 
     def left_out(self, patch: int) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
         """The points in the cell of a patch, and what the patch says of each without it.
@@ -353,16 +363,13 @@ class Partition:
         """
         points, slots, _ = self._batch(np.array([patch]))
         members, coefficients = self.members[slots[0]], self.coefficients[slots[0]]
-        matrix = Levels(self.kernel).matrix(points, points)[0]
-        matrix[np.diag_indices(len(matrix))] += self.smoothing[patch] / self.weights[members]
-        inverse = np.linalg.inv(matrix)
-        one = inverse.sum(axis=1)
-        diagonal = np.maximum(np.diag(inverse) - one**2 / one.sum(), local.TINY)[:, None]
-        amplitude = np.maximum(self.amplitude[patch], local.TINY)
-        deviations = amplitude / np.sqrt(diagonal)
-        ratios = coefficients / np.sqrt(diagonal) / amplitude
+        weights, smoothing = self.weights[members], self.smoothing[patch]
+        gram = Levels(self.kernel).matrix(points, points)[0]
+        values = gram @ coefficients + smoothing / weights[:, None] * coefficients + self.bias[patch]
+        residuals, variances = Dense(gram, weights, smoothing).leave_one_out(coefficients)
+        deviations = np.maximum(self.amplitude[patch], local.TINY) * np.sqrt(np.maximum(variances, 0.0))[:, None]
+        ratios = residuals / np.maximum(deviations, local.TINY)
         mine = np.all(np.abs(self.u[members] - self.cover.centres[patch]) <= self.cover.sides[patch] / 2, axis=1)
-        values = matrix @ coefficients + self.bias[patch]
         return members[mine], values[mine], deviations[mine], ratios[mine]
 
     def predict_grid(self, x: FloatArray, y: FloatArray) -> FloatArray:

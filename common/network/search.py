@@ -35,7 +35,7 @@ from common.network.threads import parallel
 from common.surface import FloatArray, IntArray
 
 AVERAGED = 250
-"""Points up to which every candidate is decomposed."""
+"""Points up to which candidates are decomposed."""
 
 RANKED = 150
 """Points that rank the candidates where there are more."""

@@ -367,8 +367,9 @@ def average(
 ) -> Fit:
     """Score kinds of kernels with every smoothing, and average them.
 
-    Of many kinds every other one is tried, and then those beside one that is not far behind: kinds are in the order of
-    their parameter, so what stands between two that count for nothing does not count either.
+    Of many kinds every other one is tried, and the ends of every run of one family, then those beside one that is not
+    far behind: kinds are in the order of their parameter, so what stands between two that count for nothing does not
+    count either.
     """
     r2 = squared_distances(samples.X)
     levels = np.array(level_matrices(r2, spreads))
@@ -390,12 +391,12 @@ def average(
         found = parallel(work, range(0, len(rows), batch), tick=tell)
         tried.update(zip(rows, chain(*found), strict=True))
 
-    step = 2 if len(kinds) > COUNTED else 1
-    trial(range(0, len(kinds), step), lambda share: tick(share / step))
+    first = _every_other(kinds) if len(kinds) > COUNTED else range(len(kinds))
+    trial(first, lambda share: tick(share * len(first) / len(kinds)))
     worth = {i: float(np.min(score(len(samples), one.left_out, smoothings))) for i, one in tried.items()}
     hot = {i for i, value in worth.items() if value <= min(worth.values()) + BEHIND}
     between = sorted({j for i in hot for j in (i - 1, i + 1) if j < len(kinds)} - {-1} - tried.keys())
-    trial(between, lambda share: tick((1 + share) / 2))
+    trial(between, lambda share: tick((len(first) + share * len(between)) / len(kinds)))
     tick(1.0)
 
     rows = sorted(tried)
@@ -414,6 +415,14 @@ def average(
         spreads,
         samples.weights,
     )
+
+
+def _every_other(kinds: Sequence[Kind]) -> list[int]:
+    """Rows of every other kind, and of the first and the last of every run of one family, with a reach or without."""
+    runs = [(kind.family, kind.reach == math.inf) for kind in kinds]
+    last = len(kinds) - 1
+    ends = {i for i in range(len(kinds)) if i in (0, last) or runs[i - 1] != runs[i] or runs[i + 1] != runs[i]}
+    return sorted({*range(0, len(kinds), 2), *ends})
 
 
 class _Tried(NamedTuple):

@@ -86,7 +86,7 @@ def test_clean_points_cost_no_fit(f: Callable[[FloatArray], FloatArray], n: int)
     def refused(*_: object) -> NoReturn:
         raise AssertionError
 
-    assert coarsened(patches, samples, refused, refused) is patches
+    assert coarsened(patches, samples, refused, refused, refused) is patches
 
 
 def test_a_detail_in_a_small_part_keeps_the_patches() -> None:
@@ -160,11 +160,42 @@ def test_two_pairs_of_places_have_the_mean_and_covariance_of_what_was_merged() -
     np.testing.assert_allclose(np.cov(places.T, bias=True), np.cov(X[:50].T, bias=True))
 
 
-def test_points_on_a_line_and_empty_squares_are_merged() -> None:
+def test_squares_are_counted_where_there_are_points() -> None:
     line = np.stack([np.linspace(0, 1, 500), np.zeros(500)], axis=1)
     assert len(Bins.of(Samples(line, line[:, :1], np.ones(500)), 50).samples) == 50
     diagonal = np.stack([np.linspace(0, 1, 500)] * 2, axis=1)
-    assert len(Bins.of(Samples(diagonal, diagonal[:, :1], np.ones(500)), 100).samples) == 10
+    assert 50 <= len(Bins.of(Samples(diagonal, diagonal[:, :1], np.ones(500)), 100).samples) <= 100
+    far = np.concatenate([X, [[1e4, -1e5]]])
+    assert 300 <= len(Bins.of(Samples(far, far[:, :1], np.ones(len(far))), 600).samples) <= 600
+
+
+def test_a_point_far_away_and_a_constant_output_do_not_matter(network: RBFNetwork) -> None:
+    y = noisy(sine(X), 0.05)
+    one = RBFNetwork().fit(np.concatenate([X, [[60.0, 60.0]]]), np.append(y, 0.0))
+    two = RBFNetwork().fit(X, np.column_stack([y, np.full(N, 0.1)]))
+    assert one.patches_ == two.patches_ == network.patches_ == 1
+    error = rmse(network.predict(Q), sine(Q))
+    assert rmse(one.predict(Q), sine(Q)) < 1.5 * error
+    np.testing.assert_allclose(two.predict(Q)[:, 1], 0.1)
+    assert rmse(two.predict(Q)[:, 0], sine(Q)) < 1.2 * error
+
+
+def test_the_calmer_of_two_outputs_has_a_narrower_band() -> None:
+    rng = np.random.default_rng(3)
+    y = np.column_stack([sine(X) + 0.1 * rng.normal(size=N), bowl(X) / 2 + 0.03 * rng.normal(size=N)])
+    mean, deviation = RBFNetwork().fit(X, y).predict(Q, return_std=True)
+    truth = np.column_stack([sine(Q), bowl(Q) / 2])
+    errors = np.sqrt(np.mean((mean - truth) ** 2, axis=0))
+    assert np.all(np.median(deviation, axis=0) < 2.2 * errors)
+    assert np.all(np.mean(np.abs(mean - truth) <= 1.96 * deviation, axis=0) > 0.88)
+
+
+def test_progress_never_goes_back_and_ends_whole() -> None:
+    told: list[tuple[str, float]] = []
+    RBFNetwork(callback=lambda stage, share: told.append((stage, share))).fit(X, noisy(sine(X), 0.05))
+    merging = [share for stage, share in told if stage == "merging"]
+    assert merging == sorted(merging)
+    assert told[-1] == ("merging", 1.0)
 
 
 def test_repeated_positions_weigh_as_much_as_they_are() -> None:

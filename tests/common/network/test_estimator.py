@@ -15,6 +15,7 @@ from sklearn.utils.estimator_checks import check_estimator
 from common.errors import NotReadyError, ParameterError, PointsError, TrainingError
 from common.network import NetworkWarning, RBFNetwork
 from common.network import fitting as fitting_module
+from common.network.estimator import merge_repeated
 from common.network.partition import Partition
 from common.surface import FloatArray
 
@@ -182,6 +183,20 @@ def test_a_narrow_peak_is_no_outlier() -> None:
     assert not len(RBFNetwork().fit(X, peak).outliers_)
     peak[7] = -30.0
     assert RBFNetwork().fit(X, peak).outliers_.tolist() == [7]
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_repeated_positions_are_found_among_those_that_look_alike(d: int) -> None:
+    rng = np.random.default_rng(d)
+    # On a lattice many positions share coordinates; some are there several times.
+    X = rng.integers(0, 9, (200, d)).astype(np.float64)
+    y = rng.normal(size=(200, 1))
+    distinct, means, weights, scatter, group = merge_repeated(X, y)
+    assert len(np.unique(X, axis=0)) == len(distinct) == len(np.unique(distinct, axis=0))
+    np.testing.assert_array_equal(distinct[group], X)
+    np.testing.assert_array_equal(weights, np.bincount(group))
+    np.testing.assert_allclose(means[:, 0] * weights, np.bincount(group, y[:, 0]))
+    np.testing.assert_allclose(scatter, np.sum((y - means[group]) ** 2, axis=0))
 
 
 def test_repeated_positions_are_averaged_and_tell_the_noise() -> None:

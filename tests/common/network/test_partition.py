@@ -7,6 +7,7 @@ import pytest
 
 from common.errors import TrainingError
 from common.network import local
+from common.network.cover import Cover, frame_for
 from common.network.kernel import Kernel
 from common.network.local import Levels
 from common.network.partition import Partition
@@ -258,8 +259,65 @@ def test_progress_is_told_and_may_cancel() -> None:
 @pytest.mark.parametrize("n", [2, 3, 10, 60])
 def test_few_points_are_enough(n: int) -> None:
     X = scattered(n)
-    fitted = Partition.fit(X, sine(X)[:, None], smoothing=1e-13)
-    np.testing.assert_allclose(fitted.predict(X)[:, 0], sine(X), atol=1e-4)
+    fitted = Partition.fit(X, sine(X)[:, None], smoothing=1e-9)
+    assert len(fitted) == 1
+    # What lambda leaves at the points is lambda c, and lambda |c|^2 is at most the quadratic form of the values.
+    left = np.linalg.norm(fitted.predict(X)[:, 0] - sine(X))
+    assert left <= 1.01 * np.sqrt(1e-9 * (n - 1)) * fitted.amplitude[0, 0]
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.7, 1e-3, 3e5])
+def test_lattices_of_any_side_have_cells(scale: float) -> None:
+    for side in range(66, 175, 6):
+        axis = scale * np.arange(side)
+        frame = frame_for(np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2))
+        assert np.all(frame.start >= 0)
+        assert np.all(frame.cells >= 1)
+
+
+def test_points_of_a_patch_are_those_in_its_square() -> None:
+    rng = np.random.default_rng(4)
+    # So dense at one side that balancing makes cells outside of the box.
+    X = np.concatenate([rng.uniform(0, 1, (1500, 2)), np.column_stack([1e-3 * rng.random(1000), rng.random(1000)])])
+    X *= (1.0, 0.7)
+    frame = frame_for(X)
+    order = np.argsort(frame.codes(X))
+    u, codes = frame.scaled(X[order]), frame.codes(X[order])
+    cover = Cover.over(frame, codes)
+    patches = np.arange(len(cover))
+    for margins in ((0.3, 0.5), (0.15, None)):
+        low, high = cover.squares(patches, *margins)
+        assert np.all(low <= high)
+        position, row = cover.members(patches, u, cover.runs(codes), low, high)
+        inside = np.all((u >= low[:, None]) & (u <= high[:, None]), axis=2)
+        assert len(np.unique(position * len(u) + row)) == len(row)
+        broad = (high > low).all(axis=1)
+        np.testing.assert_array_equal(np.bincount(position, minlength=len(patches))[broad], inside.sum(axis=1)[broad])
+    assert Partition.fit(X, X[:, :1]).predict(X) == pytest.approx(X[:, :1], abs=1e-5)
+
+
+def test_a_patch_that_needs_more_smoothing_has_it_alone() -> None:
+    X = np.random.default_rng(0).uniform(0, 1, (5000, 2)) ** 6 * 2 - 1
+    fitted = Partition.fit(X, sine(X)[:, None])
+    raised = np.mean(fitted.smoothing > fitted.smoothing.min())
+    assert 0 < raised < 0.1
+    assert rmse(fitted, sine, X) < 1e-5
+
+
+def test_the_band_of_points_on_tracks_is_narrow() -> None:
+    rng = np.random.default_rng(5)
+    X = np.column_stack([rng.uniform(-1, 1, 6000), rng.integers(0, 6, 6000) / 3 - 1])
+    fitted = Partition.fit(X, sine(X)[:, None])
+    assert fitted.factor < 10
+    assert np.median(fitted.predict_std(X[::10] + np.array([1e-4, 0.0]))) < 1e-6
+
+
+def test_many_outputs_are_as_one_by_one() -> None:
+    X = scattered(600)
+    y = np.column_stack([sine(X + shift / 50) for shift in range(40)])
+    together = Partition.fit(X, y, spread=0.5, smoothing=1e-6).predict(X)
+    alone = Partition.fit(X, y[:, 7:8], spread=0.5, smoothing=1e-6).predict(X)
+    np.testing.assert_allclose(together[:, 7], alone[:, 0], atol=1e-9)
 
 
 def test_a_constant_stays_constant() -> None:

@@ -8,8 +8,9 @@ from scipy.special import gamma, kv
 from scipy.stats import multivariate_normal
 
 from common.errors import TrainingError
+from common.network import selection
 from common.network.dense import Dense
-from common.network.kernel import Kernel, ladder_spreads, squared_distances
+from common.network.kernel import Kernel, ladder_spreads, mean_spacing, squared_distances
 from common.network.selection import (
     LIKELY,
     SMOOTHINGS,
@@ -210,3 +211,26 @@ def test_eigenvalues_are_found_where_divide_and_conquer_fails(monkeypatch: pytes
     np.testing.assert_allclose(vectors @ (values[:, :, None] * np.swapaxes(vectors, 1, 2)), grams, atol=1e-12)
     with pytest.raises(TrainingError, match="no eigenvalues"):
         _eigenbases(np.full((1, 3, 3), np.nan))
+
+
+@pytest.mark.parametrize("f", ["plane", "saddle", "waves"])
+@pytest.mark.parametrize("n", [30, 90])
+def test_trying_every_other_kernel_first_misses_none_that_counts(
+    f: str, n: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    X = np.random.default_rng(n).uniform(-1, 1, (n, 2))
+    x, y = X.T
+    values = {"plane": x + 2 * y, "saddle": x**2 - y**2 + x, "waves": np.sin(4 * x) + np.sin(4 * y)}[f]
+    some = Samples(X, ((values - values.mean()) / values.std())[:, None], np.ones(n))
+    spreads = ladder_spreads(mean_spacing(X), 4.0)
+    kinds = families(spreads, 2.0)
+    told: list[float] = []
+    smoothings = SMOOTHINGS[rounding_floor(n) <= SMOOTHINGS]
+    few = average(some, kinds, spreads, smoothings, told.append)
+    assert told == sorted(told)
+    assert told[-1] == 1.0
+    monkeypatch.setattr(selection, "COUNTED", len(kinds))
+    every = average(some, kinds, spreads, smoothings, told.append)
+    assert len(few.scored.candidates) < len(every.scored.candidates)
+    assert few.scored.best == every.scored.best
+    np.testing.assert_allclose(few.residuals, every.residuals, atol=0.05 * np.sqrt(np.mean(every.residuals**2)))
