@@ -10,7 +10,6 @@ Each table prints medians over the seeds. Errors are RMSE against the truth, rel
 from __future__ import annotations
 
 import argparse
-import time
 import warnings
 from collections.abc import Callable
 from typing import Literal
@@ -19,6 +18,7 @@ import numpy as np
 from scipy.interpolate import RBFInterpolator, griddata
 
 from benchmarks import terrain
+from benchmarks.network import timed
 from common.metrics import nrmse, rmse
 from common.network import NetworkWarning, RBFNetwork
 from common.network.kernel import ladder_spreads, mean_spacing
@@ -299,13 +299,10 @@ def merging(seeds: int) -> None:
                     X, Q, z = cloud[:n, :2], cloud[n:, :2], cloud[n:, 2]
                     noise = level * float(z.std())
                     y = cloud[:n, 2] + noise * rng.normal(size=n)
-                    start = time.perf_counter()
-                    patches = Partition.fit(X, y[:, None])
-                    middle = time.perf_counter()
-                    network = RBFNetwork().fit(X, y)
-                    end = time.perf_counter()
+                    cut, patches = timed(Partition.fit, X, y[:, None])
+                    merged, network = timed(RBFNetwork().fit, X, y)
                     errors = [rmse(z, patches.predict(Q)[:, 0]) / noise, rmse(z, network.predict(Q)) / noise]
-                    rows.append([*errors, middle - start, end - middle])
+                    rows.append([*errors, cut, merged])
                 a = np.median(rows, axis=0)
                 print(
                     f"  {name:10s} {n:7d} {100 * level:3.0f} %  {a[0]:6.3f} {a[1]:6.3f}   {a[2]:6.2f} s {a[3]:6.2f} s",

@@ -16,6 +16,7 @@ from common.errors import ParameterError, PointsError
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 IntArray: TypeAlias = npt.NDArray[np.int64]
+BoolArray: TypeAlias = npt.NDArray[np.bool_]
 
 FeatureKind: TypeAlias = Literal["extrema", "cloud", "lattice", "greedy"]
 """How the points were chosen: least and greatest z of each piece; all points; one point at each node of a regular

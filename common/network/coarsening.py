@@ -28,11 +28,10 @@ from common.network.cover import CELL_POINTS
 from common.network.dense import Dense
 from common.network.expansion import Expansion
 from common.network.kernel import Kernel
-from common.network.local import BoolArray
 from common.network.partition import FIT_MARGIN, Partition
-from common.network.selection import TINY, Samples
+from common.network.selection import TINY, Samples, rounding_floor
 from common.network.threads import parallel
-from common.surface import FloatArray, IntArray
+from common.surface import BoolArray, FloatArray, IntArray
 
 SQUARES = (600, 1200, 2400)
 """Squares over the box of the points, coarse ones first: as many points as a search settles its candidates on, and as a
@@ -213,12 +212,9 @@ def _promising(
 def _share(partition: Partition, merged: float) -> float:
     """Variance that a network of points merged by so many leaves, over what a patch does."""
     level = float(np.median(partition.smoothing))
-    network = _left(_scaled(partition.kernel, merged**-0.5), level / merged, LATTICE)
-    return network / max(_left(partition.kernel, level, PATCH), TINY)
-
-
-def _scaled(kernel: Kernel, factor: float) -> Kernel:
-    return Kernel(kernel.spreads * factor, kernel.amplitudes)
+    kernel = partition.kernel
+    narrower = Kernel(kernel.spreads * merged**-0.5, kernel.amplitudes)
+    return _left(narrower, level / merged, LATTICE) / max(_left(kernel, level, PATCH), TINY)
 
 
 def _left(kernel: Kernel, smoothing: float, rows: int) -> float:
@@ -226,7 +222,7 @@ def _left(kernel: Kernel, smoothing: float, rows: int) -> float:
     axis = np.arange(rows) - (rows - 1) // 2
     X = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2).astype(np.float64)
     places = np.array([[0.0, 0.0], [0.5, 0.0], [0.5, 0.5]])
-    dense = Dense(kernel.gram(X), np.ones(len(X)), max(smoothing, 4 * len(X) * float(np.finfo(np.float64).eps)))
+    dense = Dense(kernel.gram(X), np.ones(len(X)), max(smoothing, rounding_floor(len(X))))
     return float(dense.posterior_variance(kernel.gram(X, places)).mean())
 
 
@@ -234,13 +230,13 @@ def _better(network: Expansion, partition: Partition, varying: BoolArray) -> boo
     """Whether the network knows the points of a sample of patches better than these do, each without the point."""
     patches = np.random.default_rng(0).permutation(len(partition))[:ASKED]
     left_out = parallel(partition.left_out, patches.tolist())
-    rows, values, deviations, ratios = (np.concatenate(part) for part in zip(*left_out, strict=True))
+    rows, values, residuals, _ = (np.concatenate(part) for part in zip(*left_out, strict=True))
     X, weights = partition.centers[rows], partition.weights[rows]
     # How much of the network's value at a point is the point's own: its share in the nearest mean.
     means = KDTree(network.support).query(X)[1]
     own = weights * network.posterior_variance(network.support)[means] / network.smoothing
     alone = (values - network.predict(X)) / np.maximum(1 - own, UNTOLD)[:, None]
-    gains = weights[:, None] * ((deviations * ratios) ** 2 - alone**2)
+    gains = weights[:, None] * (residuals**2 - alone**2)
     gain = np.zeros((len(patches), gains.shape[1]))
     np.add.at(gain, np.repeat(np.arange(len(patches)), [len(part[0]) for part in left_out]), gains)
     sure = gain.sum(axis=0) > CERTAIN * np.sqrt(np.square(gain).sum(axis=0))

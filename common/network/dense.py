@@ -8,15 +8,13 @@ import numpy as np
 
 from common.errors import TrainingError
 from common.network import lapack
-from common.network.selection import TINY, Samples, without_twins
+from common.network.selection import NO_TWINS, TINY, Samples, without_twins
 from common.surface import FloatArray, IntArray
 
 _MAX_RAISES = 12
 
 Residuals: TypeAlias = tuple[FloatArray, FloatArray]
 """Residuals (n, k) and their variances over the signal variance (n,)."""
-
-NO_TWINS: tuple[IntArray, IntArray] = (np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
 
 
 class Dense:

@@ -15,10 +15,9 @@ from common.network.autoassociative import Lifted
 from common.network.conventions import Conventions, finite, training_arrays
 from common.network.expansion import Expansion
 from common.network.fitting import Trained, Wanted, train, train_lifted
-from common.network.local import BoolArray
 from common.network.partition import Partition
 from common.network.selection import Samples
-from common.surface import FloatArray, IntArray
+from common.surface import BoolArray, FloatArray, IntArray
 
 Callback: TypeAlias = Callable[[str, float], None]
 

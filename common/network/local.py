@@ -8,23 +8,18 @@ of patches.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, TypeAlias
 
 import numpy as np
 
 from common.network import lapack
 from common.network.kernel import Kernel
-from common.surface import FloatArray
-
-BoolArray: TypeAlias = np.ndarray[Any, np.dtype[np.bool_]]
+from common.surface import BoolArray, FloatArray
 
 CACHED = 1 << 17
 """Kernel values worked on at once: 1 MiB, about what a core's cache holds."""
 
 FAR = 1e7
 """Distance of the padding, in mean spacings; each padded point has its own."""
-
-TINY = float(np.finfo(np.float64).tiny)
 
 _CORNER = 1e300
 """Below a matrix with its right-hand sides: so large that it stays positive, and what is below is not read."""

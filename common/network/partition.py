@@ -26,11 +26,11 @@ from common.network import calibration, local
 from common.network.cover import Cover, Frame, frame_for, ragged, step
 from common.network.dense import Dense
 from common.network.kernel import Kernel, rough_amplitudes
-from common.network.local import CACHED, FAR, BoolArray, Levels
+from common.network.local import CACHED, FAR, Levels
 from common.network.quadtree import DEEPEST, Quadtree
-from common.network.selection import Samples, Spectra
+from common.network.selection import TINY, Samples, Spectra, rounding_floor
 from common.network.threads import in_order, parallel
-from common.surface import FloatArray, IntArray
+from common.surface import BoolArray, FloatArray, IntArray
 
 Tick: TypeAlias = Callable[[str, float], None]
 
@@ -254,13 +254,17 @@ class Partition:
         points = np.where(real[:, :, None], points, FAR * (1.0 + at)[:, None])
         return points, np.where(real, slots, -1), real
 
+    def _coefficients_at(self, slots: IntArray) -> FloatArray:
+        """Coefficients at the slots (p, k) of a batch, 0 at the padding, shape (p, k, outputs)."""
+        return np.where(slots[:, :, None] >= 0, self.coefficients.take(slots, axis=0), 0.0)
+
     def _chosen(
         self, values: FloatArray, spread: float | str, smoothing: float | str, tick: Tick
     ) -> tuple[Kernel, float]:
         """Kernel and smoothing that foretell the points of a sample of patches best, each left out of its own."""
         kernels = _kernels() if spread == "auto" else [Kernel.single(1.0)]
         counts = np.diff(self.starts)
-        floor = _floor(int(counts.max()))
+        floor = rounding_floor(int(counts.max()))
         if smoothing != "auto":
             smoothings = np.array([max(float(smoothing), floor)])
         else:
@@ -328,7 +332,7 @@ class Partition:
                     for part in np.array_split(patches, 2):
                         work(part)
                     return
-                self.smoothing[patches] = 10 * np.maximum(self.smoothing[patches], _floor(points.shape[1]))
+                self.smoothing[patches] = 10 * np.maximum(self.smoothing[patches], rounding_floor(points.shape[1]))
             else:
                 raise TrainingError("the kernel matrix of a patch is not positive definite, whatever the smoothing")
             self.amplitude[patches] = np.sqrt(np.maximum(solved.quadratic, 0.0) / np.maximum(many - 1, 1))
@@ -345,21 +349,22 @@ class Partition:
         """Factor and detail from the leave-one-out residuals in the cells of a sample of patches."""
         sample = np.random.default_rng(0).permutation(len(self))[:CHECKED]
         found = parallel(self.left_out, sample.tolist())
-        rows, _, _, ratios = (np.concatenate(part) for part in zip(*found, strict=True))
+        rows, _, residuals, deviations = (np.concatenate(part) for part in zip(*found, strict=True))
+        ratios = residuals / np.maximum(deviations, TINY)
         counts = [len(part[0]) for part in found]
-        amplitude = np.maximum(self.amplitude[sample], local.TINY)
+        amplitude = np.maximum(self.amplitude[sample], TINY)
         smoothed = np.repeat(self.smoothing[sample, None] * amplitude**2, counts, axis=0)
         self.factor, self.detail = calibration.factor(ratios), np.ones(values.shape[1])
         noisy = np.median(smoothed, axis=0) > calibration.DETAIL * values.var(axis=0)
         if noisy.any():
-            told = ratios / np.maximum(self.factor, local.TINY)
+            told = ratios / np.maximum(self.factor, TINY)
             self.detail[noisy] = 1 - calibration.noise_share(self.u[rows], told)[noisy]
 
     def left_out(self, patch: int) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
         """The points in the cell of a patch, and what the patch says of each without it.
 
-        Returns their rows (m,) of `u`, their values (m, k), the deviations (m, k) that the residuals should have, and
-        the residuals over them (m, k).
+        Returns their rows (m,) of `u`, their values (m, k), the residuals (m, k), and the deviations (m, k) that these
+        should have.
         """
         points, slots, _ = self._batch(np.array([patch]))
         members, coefficients = self.members[slots[0]], self.coefficients[slots[0]]
@@ -367,10 +372,9 @@ class Partition:
         gram = Levels(self.kernel).matrix(points, points)[0]
         values = gram @ coefficients + smoothing / weights[:, None] * coefficients + self.bias[patch]
         residuals, variances = Dense(gram, weights, smoothing).leave_one_out(coefficients)
-        deviations = np.maximum(self.amplitude[patch], local.TINY) * np.sqrt(np.maximum(variances, 0.0))[:, None]
-        ratios = residuals / np.maximum(deviations, local.TINY)
+        deviations = np.maximum(self.amplitude[patch], TINY) * np.sqrt(np.maximum(variances, 0.0))[:, None]
         mine = np.all(np.abs(self.u[members] - self.cover.centres[patch]) <= self.cover.sides[patch] / 2, axis=1)
-        return members[mine], values[mine], deviations[mine], ratios[mine]
+        return members[mine], values[mine], residuals[mine], deviations[mine]
 
     def predict_grid(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Values on a grid, shape (len(y), len(x), k): patch by patch, each a matrix product.
@@ -396,10 +400,9 @@ class Partition:
         levels = Levels(self.kernel)
 
         def values(patches: IntArray, places: FloatArray) -> FloatArray:
-            points, slots, real = self._batch(patches)
+            points, slots, _ = self._batch(patches)
             matrix = levels.matrix(places, points)
-            c = np.where(real[:, :, None], self.coefficients[slots], 0.0)
-            return np.asarray(matrix @ c + self.bias[patches, None])
+            return np.asarray(matrix @ self._coefficients_at(slots) + self.bias[patches, None])
 
         blended, _ = self._blended(X, self.coefficients.shape[1], values)
         return blended
@@ -428,9 +431,9 @@ class Partition:
         levels, outputs = Levels(self.kernel), self.coefficients.shape[1]
 
         def slopes(patches: IntArray, places: FloatArray) -> FloatArray:
-            points, slots, real = self._batch(patches)
+            points, slots, _ = self._batch(patches)
             matrix, slope = levels.slope(local.squared_distances(places, points))
-            c = np.where(real[:, :, None], self.coefficients[slots], 0.0)
+            c = self._coefficients_at(slots)
             parts = [matrix @ c + self.bias[patches, None]]
             for axis in range(2):
                 away = places[:, :, None, axis] - points[:, None, :, axis]
@@ -476,7 +479,7 @@ class Partition:
         levels: Levels,
     ) -> tuple[IntArray, FloatArray, FloatArray]:
         """Nodes, weighted values (k, ...) and weights of a batch of grid rectangles, (p, rows, columns)."""
-        points, slots, real = self._batch(patches)
+        points, slots, _ = self._batch(patches)
         away, weights, nodes = [], [], []
         for axis, (u, clipped) in enumerate(axes):
             first, last = boxes[:, 2 * axis], boxes[:, 2 * axis + 1]
@@ -487,8 +490,7 @@ class Partition:
             nodes.append(at)
             weights.append(self._weights(clipped[at] - centre, patches)[0] * inside)
             away.append((u[at] - centre) / self.spacings[patches, None])
-        c = np.where(real[:, :, None], self.coefficients.take(slots, axis=0), 0.0)
-        values = local.rectangles(points, away[0], away[1], c, levels)
+        values = local.rectangles(points, away[0], away[1], self._coefficients_at(slots), levels)
         values += self.bias[patches].T[:, :, None, None]
         weight = weights[1][:, :, None] * weights[0][:, None, :]
         values *= weight
@@ -567,11 +569,6 @@ _ARRAYS = (
     *("u", "weights", "starts", "members", "spacings"),
     *("smoothing", "coefficients", "bias", "amplitude", "factor", "detail"),
 )
-
-
-def _floor(n: int) -> float:
-    """The least smoothing that a kernel matrix of n points can be told from rounding by."""
-    return float(4 * n * np.finfo(np.float64).eps)
 
 
 def _kernels() -> list[Kernel]:

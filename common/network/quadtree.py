@@ -7,11 +7,10 @@ search. A level of the tree is one array operation; nothing here is a loop over 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from common.surface import IntArray
+from common.surface import BoolArray, IntArray
 
 DEEPEST = 30
 """Levels below the root: two codes of as many bits fit one 64-bit integer."""
@@ -122,7 +121,7 @@ def _children(nodes: IntArray) -> IntArray:
     return np.asarray(((nodes << 2)[:, None] + np.arange(4)).ravel())
 
 
-def _inside(places: IntArray, level: int, depth: int, shape: tuple[int, int]) -> np.ndarray[Any, np.dtype[np.bool_]]:
+def _inside(places: IntArray, level: int, depth: int, shape: tuple[int, int]) -> BoolArray:
     """Whether cells at these columns and rows of a level touch the region."""
     return np.asarray(np.all((places >= 0) & (places << (depth - level) < np.array(shape)), axis=1))
 

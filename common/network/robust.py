@@ -17,10 +17,9 @@ from scipy.spatial import KDTree
 
 from common.network import evaluation
 from common.network.dense import Dense
-from common.network.local import BoolArray
 from common.network.partition import Partition
 from common.network.selection import Fit, Samples
-from common.surface import FloatArray, IntArray
+from common.surface import BoolArray, FloatArray, IntArray
 
 SUSPECT = 8.0
 """Robust deviations beyond which a point is suspected: smaller errors do little harm, and are found in real terrain."""

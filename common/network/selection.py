@@ -74,6 +74,9 @@ TINY = float(np.finfo(np.float64).tiny)
 CLOSE = 0.1
 """Mean spacings within which two points are twins: one tells the other, and neither what is between the points."""
 
+NO_TWINS: tuple[IntArray, IntArray] = (np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
+"""Rows that have a twin, and their twins, where there are none."""
+
 NOTHING = 1e-30
 """What a point may at least tell of itself; less is rounding, or a point alone."""
 
@@ -197,7 +200,7 @@ def _eigenbases(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
 def twins(X: FloatArray) -> tuple[IntArray, IntArray]:
     """Rows of points (n, d) that have another within `CLOSE` mean spacings, and the rows of their nearest."""
     if len(X) < FEW:
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+        return NO_TWINS
     distances, nearest = (np.asarray(found) for found in KDTree(X).query(X, k=2))
     rows = np.flatnonzero(distances[:, 1] < CLOSE * mean_spacing(X))
     return rows, nearest[rows, 1]
@@ -384,16 +387,16 @@ def average(
         def work(start: int) -> list[_Tried]:
             part = [kernels[i] for i in rows[start : start + batch]]
             spectra = Spectra(_grams(part, r2, spreads, levels), samples, close)
-            return [
-                _Tried(spectra, i, *found) for i, found in enumerate(zip(*spectra.criteria(smoothings), strict=True))
-            ]
+            restricted, left_out, variances = spectra.criteria(smoothings)
+            scores = score(len(samples), left_out, smoothings)
+            return [_Tried(spectra, *one) for one in zip(range(len(part)), scores, variances, restricted, strict=True)]
 
         found = parallel(work, range(0, len(rows), batch), tick=tell)
         tried.update(zip(rows, chain(*found), strict=True))
 
     first = _every_other(kinds) if len(kinds) > COUNTED else range(len(kinds))
     trial(first, lambda share: tick(share * len(first) / len(kinds)))
-    worth = {i: float(np.min(score(len(samples), one.left_out, smoothings))) for i, one in tried.items()}
+    worth = {i: float(one.scores.min()) for i, one in tried.items()}
     hot = {i for i, value in worth.items() if value <= min(worth.values()) + BEHIND}
     between = sorted({j for i in hot for j in (i - 1, i + 1) if j < len(kinds)} - {-1} - tried.keys())
     trial(between, lambda share: tick((len(first) + share * len(between)) / len(kinds)))
@@ -402,9 +405,7 @@ def average(
     rows = sorted(tried)
     scored = Scored(
         [Candidate(kinds[i], s) for i in rows for s in smoothings.tolist()],
-        np.concatenate([score(len(samples), tried[i].left_out, smoothings) for i in rows]),
-        np.concatenate([tried[i].variances for i in rows]),
-        np.concatenate([tried[i].restricted for i in rows]),
+        *(np.concatenate(part) for part in zip(*(tried[i][2:] for i in rows), strict=True)),
     )
     by_kind = dict(zip(rows, scored.shares.reshape(len(rows), -1), strict=True))
     used = [i for i in rows if by_kind[i].any()]
@@ -426,13 +427,13 @@ def _every_other(kinds: Sequence[Kind]) -> list[int]:
 
 
 class _Tried(NamedTuple):
-    """A kernel in its eigenbasis, and its criteria for every smoothing, shape (m,) each."""
+    """A kernel in its eigenbasis, and what `Scored` has of it for every smoothing, shape (m,) each."""
 
     spectra: Spectra
     row: int
-    restricted: FloatArray
-    left_out: FloatArray
+    scores: FloatArray
     variances: FloatArray
+    restricted: FloatArray
 
 
 def _grams(kernels: Sequence[Kernel], r2: FloatArray, spreads: FloatArray, levels: FloatArray) -> FloatArray:

@@ -21,10 +21,10 @@ from typing import NamedTuple
 import numpy as np
 
 from common.errors import PacketError
-from common.surface import IntArray
+from common.surface import BoolArray, IntArray
 from common.wire.header import LATTICES, Header
 from common.wire.limits import MAX_COMPACT_POINTS
-from common.wire.rans import BoolArray, Coder, Reader, Tables, Writer, tables
+from common.wire.rans import Coder, Reader, Tables, Writer, tables
 
 LANES = 256
 """Packets worked on at once: bounds the memory."""

@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from common.surface import IntArray
+from common.surface import BoolArray, IntArray
 
 PRECISION = 12
 """Bits of a probability."""
@@ -23,8 +23,6 @@ PRECISION = 12
 TOTAL = 1 << PRECISION
 WORD = 16
 _LOWER = 1 << WORD
-
-BoolArray = npt.NDArray[np.bool_]
 
 
 class Tables(NamedTuple):

@@ -19,9 +19,9 @@ import numpy as np
 
 from common.errors import MissingExtraError, NotFoundError, ParameterError, PointsError
 from common.metrics import nrmse
-from common.surface import FloatArray
+from common.surface import BoolArray, FloatArray
 from simulator.codecs import raster, samples
-from simulator.codecs.message import MAX_NODES, BoolArray
+from simulator.codecs.message import MAX_NODES
 from simulator.codecs.protection import PROTECTIONS, Protection
 from simulator.codecs.sandbox import Failure, Sandbox
 

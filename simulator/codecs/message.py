@@ -7,15 +7,12 @@ from __future__ import annotations
 
 import struct
 import zlib
-from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from common.errors import PacketError
 from common.surface import FloatArray
-
-BoolArray: TypeAlias = npt.NDArray[np.bool_]
 
 HEADER = struct.Struct("<HHff")
 """Rows, columns, least height, range of the heights."""

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from common.errors import MissingExtraError, NotFoundError
-from simulator.codecs.message import BoolArray
+from common.surface import BoolArray
 
 LENGTH = 255
 """Bytes of a codeword before shortening."""

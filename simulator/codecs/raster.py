@@ -13,8 +13,8 @@ import numpy.typing as npt
 from scipy.fft import dctn, idctn
 
 from common.errors import PacketError
-from common.surface import FloatArray
-from simulator.codecs.message import BoolArray, deflate, inflate, read_header, scaled, write_header
+from common.surface import BoolArray, FloatArray
+from simulator.codecs.message import deflate, inflate, read_header, scaled, write_header
 from simulator.codecs.samples import Ladders
 
 Setting = tuple[float, ...]

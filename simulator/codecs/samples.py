@@ -16,10 +16,9 @@ from scipy.sparse.linalg import spsolve
 from scipy.spatial import KDTree
 
 from common.errors import PacketError
-from common.surface import FloatArray
+from common.surface import BoolArray, FloatArray
 from simulator.codecs.message import (
     HEADER,
-    BoolArray,
     deflate,
     inflate,
     pack_bits,

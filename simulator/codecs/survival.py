@@ -17,9 +17,8 @@ import numpy as np
 from common.channel import Channel, PointImpairment
 from common.errors import ChannelError
 from common.metrics import nrmse
-from common.surface import FloatArray
+from common.surface import BoolArray, FloatArray
 from simulator.codecs import Failure, Message, Sandbox, best, decode
-from simulator.codecs.message import BoolArray
 from simulator.codecs.protection import Protection, find_protection
 
 DATAGRAM = 256

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -12,9 +12,7 @@ from pydantic import Field
 from common.channel.datagram import Datagram
 from common.channel.impairment import Impairment, Probability
 from common.channel.passage import Passage, Purpose
-from common.surface import FloatArray
-
-BoolArray: TypeAlias = npt.NDArray[np.bool_]
+from common.surface import BoolArray, FloatArray
 
 BLOCK = 4096
 """Steps of the chain drawn at once."""
