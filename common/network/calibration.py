@@ -14,7 +14,6 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.special import betaincinv, chdtri
 
-from common.network.dense import Dense
 from common.network.selection import TINY, Fit
 from common.surface import FloatArray
 
@@ -62,11 +61,7 @@ def calibrated(X: FloatArray, fit: Fit) -> Calibration:
     outputs = fit.residuals.shape[1]
     if len(X) < FEWEST:
         return Calibration(np.full(outputs, UNSURE), np.zeros(outputs))
-    deviations = fit.deviations
-    if len(fit.scored.candidates) > 1:
-        own = Dense(fit.kernel.gram(X), fit.weights, fit.smoothing)
-        deviations = np.sqrt(fit.variance * own.leave_one_out(np.zeros((len(X), 1)))[1])
-    ratios = fit.residuals / np.maximum(deviations, TINY)[:, None]
+    ratios = fit.residuals / np.maximum(np.sqrt(fit.variance * fit.spread), TINY)[:, None]
     scale = factor(ratios)
     smoothed = fit.smoothing * fit.variance
     detail = np.full(outputs, smoothed)

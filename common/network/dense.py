@@ -31,17 +31,20 @@ class Dense:
         Samples behind each value.
     smoothing : float
         lambda, positive.
+    room : ndarray, shape (2, n, n), optional
+        Where the factor stands, and what comes of it: who factorises often saves more than a third of the time.
     """
 
-    def __init__(self, gram: FloatArray, weights: FloatArray, smoothing: float) -> None:
+    def __init__(self, gram: FloatArray, weights: FloatArray, smoothing: float, room: FloatArray | None = None) -> None:
         n = len(gram)
+        of_factor, self._room = (None, None) if room is None else (room[0].T, room[1].T)
         self.weights = weights
         diagonal = np.diag_indices(n)
         own = gram[diagonal]
         for _ in range(_MAX_RAISES):
             gram[diagonal] = own + smoothing / weights
             # The transpose of a symmetric matrix in rows is the same in columns, as LAPACK wants it.
-            factor = lapack.cholesky(gram.T)
+            factor = lapack.cholesky(gram.T, of_factor)
             if factor is not None:
                 break
             smoothing = 10 * max(smoothing, n * float(np.finfo(np.float64).eps))
@@ -68,7 +71,7 @@ class Dense:
 
     def left_out(self, coefficients: FloatArray, rows: IntArray, twins: IntArray) -> tuple[Residuals, Residuals]:
         """The residuals of `leave_one_out`, and those of the rows (p,) without their twins (p,), too, else the same."""
-        diagonal, elements = lapack.inverse_elements(self.factor, rows, twins)
+        diagonal, elements = lapack.inverse_elements(self.factor, rows, twins, self._room)
         diagonal -= self.one**2 / self.one.sum()
         alone = coefficients / diagonal[:, None], 1 / diagonal
         if not len(rows):

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import KDTree
-from scipy.spatial.distance import cdist
+from scipy.spatial.distance import cdist, pdist, squareform
 
 from common.surface import FloatArray
 
@@ -25,6 +25,12 @@ FINEST = 0.2
 
 _SQUARINGS = 4
 """Levels taken by squaring before a fresh exponential: each squaring doubles the relative rounding error."""
+
+_CACHED = 16_384
+"""Kernel values summed over all levels at once: what a core's cache holds of them and their levels."""
+
+_UNDERFLOW = -700.0
+"""Exponents below this are as good as none, and an exponential that underflows takes ten times as long."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,12 +62,25 @@ class Kernel:
 
     def gram(self, X: FloatArray, C: FloatArray | None = None) -> FloatArray:
         """K(|x_i - c_j|), shape (n, m), of positions (n, d) and (m, d); C is X where it is left out."""
+        if C is None:
+            return self.of_pairs(pair_distances(X))
         return sum_of_levels(squared_distances(X, C), self.spreads, self.amplitudes)
+
+    def of_pairs(self, r2: FloatArray) -> FloatArray:
+        """K at n positions, shape (n, n), from `pair_distances` of them."""
+        values = squareform(sum_of_levels(r2, self.spreads, self.amplitudes), checks=False)
+        np.fill_diagonal(values, self.amplitudes.sum())
+        return np.asarray(values)
 
 
 def squared_distances(X: FloatArray, C: FloatArray | None = None) -> FloatArray:
     """|x_i - c_j|^2, shape (n, m), from the differences: exact zeros on the diagonal, no cancellation."""
     return np.asarray(cdist(X, X if C is None else C, "sqeuclidean"))
+
+
+def pair_distances(X: FloatArray) -> FloatArray:
+    """|x_i - x_j|^2 of every pair i < j of n positions, shape (n (n - 1) / 2,)."""
+    return np.asarray(pdist(X, "sqeuclidean"))
 
 
 def level_matrices(r2: FloatArray, spreads: FloatArray) -> list[FloatArray]:
@@ -79,15 +98,18 @@ def level_matrices(r2: FloatArray, spreads: FloatArray) -> list[FloatArray]:
 
 
 def sum_of_levels(r2: FloatArray, spreads: FloatArray, amplitudes: FloatArray) -> FloatArray:
-    """sum_l a_l exp(-r^2 / 2 s_l^2), two arrays of memory whatever the number of levels."""
-    if len(spreads) == 1:
-        single = np.multiply(r2, -0.5 / spreads[0] ** 2)
-        np.exp(single, out=single)
-        single *= amplitudes[0]
-        return np.asarray(single)
-    total = np.zeros_like(r2)
-    current = np.empty_like(r2)
-    scratch = np.empty_like(r2)
+    """sum_l a_l exp(-r^2 / 2 s_l^2), shape of `r2`; levels that are next to each other share an exponential."""
+    flat = np.ravel(r2)
+    total = np.zeros(flat.shape)
+    for start in range(0, len(flat), _CACHED):
+        part = slice(start, start + _CACHED)
+        _add_levels(flat[part], spreads, amplitudes, total[part])
+    return total.reshape(r2.shape)
+
+
+def _add_levels(r2: FloatArray, spreads: FloatArray, amplitudes: FloatArray, total: FloatArray) -> None:
+    """Add the levels at `r2` (p,) to `total` (p,)."""
+    current, scratch = np.empty_like(r2), np.empty_like(r2)
     squared = _SQUARINGS
     for level, (spread, amplitude) in enumerate(zip(spreads, amplitudes, strict=True)):
         if level and squared < _SQUARINGS and _is_one_step(spreads[level - 1], spread):
@@ -95,11 +117,11 @@ def sum_of_levels(r2: FloatArray, spreads: FloatArray, amplitudes: FloatArray) -
             squared += 1
         else:
             np.multiply(r2, -0.5 / spread**2, out=current)
+            np.maximum(current, _UNDERFLOW, out=current)
             np.exp(current, out=current)
             squared = 0
         np.multiply(current, amplitude, out=scratch)
         total += scratch
-    return total
 
 
 def _is_one_step(wide: float, narrow: float) -> bool:

@@ -38,7 +38,7 @@ def _call(module: Any, name: str, *arguments: bytes | int | float | FloatArray) 
     passed: list[Any] = []
     for argument in arguments:
         if isinstance(argument, bytes):
-            passed.append(ctypes.create_string_buffer(argument))
+            passed.append(_flag(argument))
         elif isinstance(argument, int):
             passed.append(integer(argument))
         elif isinstance(argument, float):
@@ -50,9 +50,19 @@ def _call(module: Any, name: str, *arguments: bytes | int | float | FloatArray) 
     return int(last.value)
 
 
-def _columns_first(values: FloatArray) -> FloatArray:
-    """A Fortran-ordered float64 copy of (n,) or (n, k) values."""
-    return np.array(values, dtype=np.float64, order="F")
+@cache
+def _flag(letter: bytes) -> Any:
+    return ctypes.create_string_buffer(letter)
+
+
+def _columns_first(values: FloatArray, out: FloatArray | None = None) -> FloatArray:
+    """A Fortran-ordered float64 copy of (n,) or (n, k) values, in `out` where that is given."""
+    if out is None:
+        return np.array(values, dtype=np.float64, order="F")
+    if out.shape != values.shape or out.dtype != np.float64 or not out.flags.f_contiguous:
+        raise ValueError(f"room for Fortran-ordered float64 values {values.shape} is needed, got the shape {out.shape}")
+    np.copyto(out, values)
+    return out
 
 
 def _side(matrix: FloatArray) -> int:
@@ -68,12 +78,12 @@ def _right(matrix: FloatArray, right: FloatArray) -> tuple[FloatArray, int]:
     return solved, 1 if solved.ndim == 1 else solved.shape[1]
 
 
-def cholesky(matrix: FloatArray) -> FloatArray | None:
+def cholesky(matrix: FloatArray, out: FloatArray | None = None) -> FloatArray | None:
     """The factor L of a symmetric matrix (n, n) = L L^T in the lower triangle, the upper one left as it was.
 
-    None where the matrix is not positive definite.
+    It stands in `out` (n, n), Fortran-ordered, where that is given. None where the matrix is not positive definite.
     """
-    side, factor = _side(matrix), _columns_first(matrix)
+    side, factor = _side(matrix), _columns_first(matrix, out)
     failed = _call(cython_lapack, "dpotrf", b"L", len(matrix), factor, side, 0)
     return None if failed else factor
 
@@ -95,13 +105,16 @@ def solve_lower(factor: FloatArray, right: FloatArray, *, transposed: bool = Fal
     return solved
 
 
-def inverse_elements(factor: FloatArray, rows: IntArray, columns: IntArray) -> tuple[FloatArray, FloatArray]:
+def inverse_elements(
+    factor: FloatArray, rows: IntArray, columns: IntArray, room: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
     """The diagonal (n,) of (L L^T)^-1 for a factor of `cholesky`, and its elements (p,) at rows and columns (p,).
 
-    They are products of columns of L^-1, which is a third of the work of the whole inverse.
+    They are products of columns of L^-1, which is a third of the work of the whole inverse. It is left in the `room`
+    (n, n), Fortran-ordered, where that is given.
     """
-    side, inverted = _side(factor), _columns_first(factor)
-    _call(cython_lapack, "dtrtri", b"L", b"N", len(factor), inverted, side, 0)
+    inverted = _columns_first(factor, room)
+    _invert_lower(inverted, _side(factor))
     diagonal = np.empty(len(factor))
     for start in range(0, len(factor), _STRIP):
         stop = min(len(factor), start + _STRIP)
@@ -110,6 +123,24 @@ def inverse_elements(factor: FloatArray, rows: IntArray, columns: IntArray) -> t
     first = np.maximum(rows, columns)
     elements = [inverted[k:, i] @ inverted[k:, j] for k, i, j in zip(first, rows, columns, strict=True)]
     return diagonal, np.array(elements, dtype=np.float64)
+
+
+def _invert_lower(triangle: FloatArray, side: int) -> None:
+    """L^-1 in place of a Fortran-ordered L, a part of a matrix with columns `side` apart; above it all stays.
+
+    The halves are inverted first, and what is below them follows by products of matrices, which are faster than LAPACK's
+    own inversion.
+    """
+    n = len(triangle)
+    if n <= INVERTED:
+        _call(cython_lapack, "dtrtri", b"L", b"N", n, triangle, side, 0)
+        return
+    half = n // 2
+    upper, lower, below = triangle[:half, :half], triangle[half:, half:], triangle[half:, :half]
+    _invert_lower(upper, side)
+    _invert_lower(lower, side)
+    _call(cython_blas, "dtrmm", b"L", b"L", b"N", b"N", n - half, half, -1.0, lower, side, below, side)
+    _call(cython_blas, "dtrmm", b"R", b"L", b"N", b"N", n - half, half, 1.0, upper, side, below, side)
 
 
 def cholesky_each(matrices: FloatArray) -> bool:
@@ -124,8 +155,7 @@ def cholesky_each(matrices: FloatArray) -> bool:
         raise ValueError(f"square matrices are needed, got the shape {matrices.shape}")
     routine, integer = _routine(cython_lapack, "dpotf2" if n <= UNBLOCKED else "dpotrf")
     side, order, info = integer(max(1, n)), integer(n), integer(0)
-    upper = ctypes.create_string_buffer(b"U")
-    at = [ctypes.addressof(value) for value in (upper, order, side, info)]
+    at = [ctypes.addressof(value) for value in (_flag(b"U"), order, side, info)]
     first = matrices.ctypes.data
     for i in range(p):
         routine(at[0], at[1], first + 8 * i * n * n, at[2], at[3])
@@ -141,7 +171,7 @@ def solve_transposed_each(factors: FloatArray, right: FloatArray) -> None:
     if factors.shape != (p, side, side) or side < n:
         raise ValueError(f"{p} factors of {n} rows or more are needed, got the shape {factors.shape}")
     routine, integer = _routine(cython_blas, "dtrsv")
-    flags = [ctypes.create_string_buffer(flag) for flag in (b"U", b"N", b"N")]
+    flags = [_flag(letter) for letter in (b"U", b"N", b"N")]
     sizes = integer(n), integer(max(1, side)), integer(1)
     at = [ctypes.addressof(value) for value in (*flags, *sizes)]
     first, then = factors.ctypes.data, right.ctypes.data
@@ -157,6 +187,9 @@ def _rows_first(arrays: FloatArray) -> FloatArray:
 
 UNBLOCKED = 112
 """Sides of a matrix up to which the plain factorisation is faster than the one by blocks."""
+
+INVERTED = 64
+"""Sides of a triangle up to which LAPACK inverts it."""
 
 _STRIP = 128
 """Columns of a triangle whose lengths are taken together."""

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from common.network.dense import Dense
-from common.network.kernel import LADDER_STEP, squared_distances, sum_of_levels
+from common.network.kernel import LADDER_STEP, pair_distances
 from common.network.selection import (
     BEHIND,
     ROUGHNESS,
@@ -115,19 +115,37 @@ class _Search:
 
     def __init__(self, samples: Samples, spreads: FloatArray, budget: int, tick: Callable[[float], None]) -> None:
         self.samples, self.spreads, self.budget, self.tick = samples, spreads, budget, tick
-        self.r2 = squared_distances(samples.X)
+        self.r2 = pair_distances(samples.X)
         self.twins = twins(samples.X)
         self.lowest = round(float(np.log(rounding_floor(len(samples))) / _LOG_STEP), 6)
         self.tried: dict[_Place, tuple[float, float, float, Solution, float]] = {}
+        self.rooms: list[FloatArray] = []
 
     def values(self, places: Sequence[_Place]) -> list[float]:
         """The scores, infinite where the budget is spent."""
         fresh = [place for place in dict.fromkeys(places) if place not in self.tried]
         fresh = fresh[: self.budget - len(self.tried)]
-        found = parallel(lambda place: _solve(self.samples, place.candidate, self.spreads, self.r2, self.twins), fresh)
+        found = parallel(self._solved, fresh)
         self.tried |= zip(fresh, found, strict=True)
         self.tick(len(self.tried) / self.budget)
         return [self.tried[place][0] if place in self.tried else np.inf for place in places]
+
+    def _solved(self, place: _Place) -> tuple[float, float, float, Solution, float]:
+        """Score, signal variance, restricted nll, network and smoothing of one candidate on all samples."""
+        samples, n = self.samples, len(self.samples)
+        try:
+            room = self.rooms.pop()
+        except IndexError:
+            room = np.empty((2, n, n))
+        dense = Dense(place.candidate.kind.kernel(self.spreads).of_pairs(self.r2), samples.weights, place.candidate.smoothing, room)
+        coefficients, bias = dense.solve(samples.y)
+        restricted, variance = dense.restricted(samples, coefficients)
+        (residuals, spread), (apart, variances) = dense.left_out(coefficients, *self.twins)
+        self.rooms.append(room)
+        own = np.mean(apart**2 / variances[:, None])
+        left_out = 0.5 * samples.y.shape[1] * float(n * np.log(own) + np.log(variances).sum())
+        value = float(score(n, np.array(left_out), np.array(dense.smoothing)))
+        return value, variance, restricted, Solution(coefficients, bias, residuals, spread), dense.smoothing
 
     def climb(self, starts: Sequence[Candidate], free: _Free) -> Fit:
         """From the best of the starts to better neighbours, ever closer ones; the average of all that were tried."""
@@ -176,7 +194,8 @@ class _Search:
         parts = [(p, share) for p, share in zip(places, scored.shares.tolist(), strict=True) if share]
         solutions = [self.tried[p][3].scaled(share) for p, share in parts]
         kernels = [p.candidate.kind.kernel(self.spreads) for p, _ in parts]
-        return combine(scored, kernels, solutions, self.spreads, self.samples.weights)
+        alone = self.tried[places[int(np.argmin(scored.scores))]][3].spread
+        return combine(scored, alone, kernels, solutions, self.spreads, self.samples.weights)
 
 
 def _starts(ranked: Scored) -> list[Candidate]:
@@ -231,18 +250,3 @@ class _Place:
     def within(self, other: _Place, steps: float) -> bool:
         """Whether the other place is no further off than so many steps on either axis."""
         return max(abs(a - b) for a, b in zip(self.at, other.at, strict=True)) <= steps
-
-
-def _solve(
-    samples: Samples, candidate: Candidate, spreads: FloatArray, r2: FloatArray, close: tuple[IntArray, IntArray]
-) -> tuple[float, float, float, Solution, float]:
-    """Score, signal variance, restricted nll and network of one candidate on all samples."""
-    kernel = candidate.kind.kernel(spreads)
-    dense = Dense(sum_of_levels(r2, kernel.spreads, kernel.amplitudes), samples.weights, candidate.smoothing)
-    coefficients, bias = dense.solve(samples.y)
-    restricted, variance = dense.restricted(samples, coefficients)
-    (residuals, spread), (apart, variances) = dense.left_out(coefficients, *close)
-    own = np.mean(apart**2 / variances[:, None])
-    left_out = 0.5 * samples.y.shape[1] * float(len(samples) * np.log(own) + np.log(variances).sum())
-    value = float(score(len(samples), np.array(left_out), np.array(dense.smoothing)))
-    return value, variance, restricted, Solution(coefficients, bias, residuals, spread), dense.smoothing

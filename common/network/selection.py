@@ -409,8 +409,10 @@ def average(
     )
     by_kind = dict(zip(rows, scored.shares.reshape(len(rows), -1), strict=True))
     used = [i for i in rows if by_kind[i].any()]
+    best = tried[rows[int(np.argmin(scored.scores)) // len(smoothings)]]
     return combine(
         scored,
+        best.spectra.solve(best.row, np.array([scored.best.smoothing]), np.ones(1)).spread,
         [kernels[i] for i in used],
         [tried[i].spectra.solve(tried[i].row, smoothings, by_kind[i]) for i in used],
         spreads,
@@ -471,6 +473,8 @@ class Fit:
         Values less what the network says without them.
     deviations : ndarray, shape (n,)
         Standard deviations that the residuals should have.
+    spread : ndarray, shape (n,)
+        Variance that the best candidate's residuals should have, over its `variance`.
     weights : ndarray, shape (n,)
         Of the points, as the best candidate has them.
     """
@@ -484,17 +488,26 @@ class Fit:
     variance: float
     residuals: FloatArray
     deviations: FloatArray
+    spread: FloatArray
     weights: FloatArray
 
 
 def combine(
-    scored: Scored, kernels: Sequence[Kernel], solutions: Sequence[Solution], ladder: FloatArray, weights: FloatArray
+    scored: Scored,
+    spread: FloatArray,
+    kernels: Sequence[Kernel],
+    solutions: Sequence[Solution],
+    ladder: FloatArray,
+    weights: FloatArray,
 ) -> Fit:
-    """Add up solutions that carry their shares already; the coefficients per spread add up."""
+    """Add up solutions that carry their shares already; the coefficients per spread add up.
+
+    What `Fit` calls `spread` is the best candidate's alone.
+    """
     parts = [
-        (spread, amplitude * solution.coefficients)
+        (level, amplitude * solution.coefficients)
         for kernel, solution in zip(kernels, solutions, strict=True)
-        for spread, amplitude in zip(kernel.spreads.tolist(), kernel.amplitudes.tolist(), strict=True)
+        for level, amplitude in zip(kernel.spreads.tolist(), kernel.amplitudes.tolist(), strict=True)
     ]
     spreads, coefficients = _summed(parts)
     variance = float(scored.variances[int(np.argmin(scored.scores))])
@@ -508,6 +521,7 @@ def combine(
         variance=variance,
         residuals=np.sum([s.residuals for s in solutions], axis=0),
         deviations=np.sqrt(variance * np.sum([s.spread for s in solutions], axis=0)),
+        spread=spread,
         weights=weights,
     )
 
