@@ -135,6 +135,8 @@ def installed(package: str) -> bool:
 def timed(work: Callable[..., Any], *args: Any, repeat: int = 1, **kwargs: Any) -> tuple[float, Any]:
     """Least seconds of so many runs, and the last result."""
     seconds, result = np.inf, None
+    # Threads of a matrix product spin on for a moment, on cores that are another's turn now.
+    time.sleep(0.2)
     for _ in range(repeat):
         start = time.perf_counter()
         result = work(*args, **kwargs)

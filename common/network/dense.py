@@ -26,7 +26,7 @@ class Dense:
     Parameters
     ----------
     gram : ndarray, shape (n, n)
-        K at the positions; overwritten.
+        K at the positions; its upper triangle is read, its diagonal overwritten.
     weights : ndarray, shape (n,)
         Samples behind each value.
     smoothing : float
@@ -37,14 +37,15 @@ class Dense:
 
     def __init__(self, gram: FloatArray, weights: FloatArray, smoothing: float, room: FloatArray | None = None) -> None:
         n = len(gram)
-        of_factor, self._room = (None, None) if room is None else (room[0].T, room[1].T)
+        own_room = None if room is None else room[0].T
+        self._room = None if room is None else room[1].T
         self.weights = weights
         diagonal = np.diag_indices(n)
         own = gram[diagonal]
         for _ in range(_MAX_RAISES):
             gram[diagonal] = own + smoothing / weights
-            # The transpose of a symmetric matrix in rows is the same in columns, as LAPACK wants it.
-            factor = lapack.cholesky(gram.T, of_factor)
+            # What is above the diagonal in rows is below it in columns, as LAPACK wants it.
+            factor = lapack.cholesky(gram.T, own_room)
             if factor is not None:
                 break
             smoothing = 10 * max(smoothing, n * float(np.finfo(np.float64).eps))

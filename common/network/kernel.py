@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import KDTree
-from scipy.spatial.distance import cdist, pdist, squareform
+from scipy.spatial.distance import cdist
 
 from common.surface import FloatArray
 
@@ -62,25 +62,12 @@ class Kernel:
 
     def gram(self, X: FloatArray, C: FloatArray | None = None) -> FloatArray:
         """K(|x_i - c_j|), shape (n, m), of positions (n, d) and (m, d); C is X where it is left out."""
-        if C is None:
-            return self.of_pairs(pair_distances(X))
         return sum_of_levels(squared_distances(X, C), self.spreads, self.amplitudes)
-
-    def of_pairs(self, r2: FloatArray) -> FloatArray:
-        """K at n positions, shape (n, n), from `pair_distances` of them."""
-        values = squareform(sum_of_levels(r2, self.spreads, self.amplitudes), checks=False)
-        np.fill_diagonal(values, self.amplitudes.sum())
-        return np.asarray(values)
 
 
 def squared_distances(X: FloatArray, C: FloatArray | None = None) -> FloatArray:
     """|x_i - c_j|^2, shape (n, m), from the differences: exact zeros on the diagonal, no cancellation."""
     return np.asarray(cdist(X, X if C is None else C, "sqeuclidean"))
-
-
-def pair_distances(X: FloatArray) -> FloatArray:
-    """|x_i - x_j|^2 of every pair i < j of n positions, shape (n (n - 1) / 2,)."""
-    return np.asarray(pdist(X, "sqeuclidean"))
 
 
 def level_matrices(r2: FloatArray, spreads: FloatArray) -> list[FloatArray]:
@@ -98,18 +85,27 @@ def level_matrices(r2: FloatArray, spreads: FloatArray) -> list[FloatArray]:
 
 
 def sum_of_levels(r2: FloatArray, spreads: FloatArray, amplitudes: FloatArray) -> FloatArray:
-    """sum_l a_l exp(-r^2 / 2 s_l^2), shape of `r2`; levels that are next to each other share an exponential."""
+    """sum_l a_l exp(-r^2 / 2 s_l^2), shape of `r2`."""
     flat = np.ravel(r2)
-    total = np.zeros(flat.shape)
+    total = np.empty(flat.shape)
     for start in range(0, len(flat), _CACHED):
         part = slice(start, start + _CACHED)
-        _add_levels(flat[part], spreads, amplitudes, total[part])
+        total[part] = _levels(flat[part], spreads, amplitudes)
     return total.reshape(r2.shape)
 
 
-def _add_levels(r2: FloatArray, spreads: FloatArray, amplitudes: FloatArray, total: FloatArray) -> None:
-    """Add the levels at `r2` (p,) to `total` (p,)."""
-    current, scratch = np.empty_like(r2), np.empty_like(r2)
+def upper_sum_of_levels(r2: FloatArray, spreads: FloatArray, amplitudes: FloatArray, out: FloatArray) -> None:
+    """The same in the upper triangle of `out`, for symmetric `r2`, shape (n, n) both; what is below is not touched."""
+    start = 0
+    while start < len(r2):
+        part = slice(start, start + max(1, _CACHED // (len(r2) - start)))
+        out[part, start:] = _levels(r2[part, start:].copy(), spreads, amplitudes)
+        start = part.stop
+
+
+def _levels(r2: FloatArray, spreads: FloatArray, amplitudes: FloatArray) -> FloatArray:
+    """The sum at a contiguous piece of `r2`; levels next to each other share an exponential."""
+    current, scratch, total = np.empty_like(r2), np.empty_like(r2), np.zeros_like(r2)
     squared = _SQUARINGS
     for level, (spread, amplitude) in enumerate(zip(spreads, amplitudes, strict=True)):
         if level and squared < _SQUARINGS and _is_one_step(spreads[level - 1], spread):
@@ -122,6 +118,7 @@ def _add_levels(r2: FloatArray, spreads: FloatArray, amplitudes: FloatArray, tot
             squared = 0
         np.multiply(current, amplitude, out=scratch)
         total += scratch
+    return total
 
 
 def _is_one_step(wide: float, narrow: float) -> bool:

@@ -128,7 +128,7 @@ def inverse_elements(
 def _invert_lower(triangle: FloatArray, side: int) -> None:
     """L^-1 in place of a Fortran-ordered L, a part of a matrix with columns `side` apart; above it all stays.
 
-    The halves are inverted first, and what is below them follows by products of matrices, which are faster than LAPACK's
+    The halves are inverted first; what is below them follows by products of matrices, which are faster than LAPACK's
     own inversion.
     """
     n = len(triangle)

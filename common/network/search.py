@@ -1,23 +1,26 @@
 """Many points: a sample of them ranks the candidates, a short search on all of them settles spread and smoothing.
 
 Each candidate of the search costs one Cholesky factorisation and the inverse of its factor. The search goes by rounds:
-a step to either side in spread (or roughness) and in smoothing, all on several cores at once, and one to where the
-parabolas through them have their least values. Those that were tried are averaged, as they are for few points.
+a step to either side in spread (or roughness) and in smoothing, all on several cores at once, and some to where the
+parabolas through them have their least values. A wider spread with less smoothing makes nearly the same network of
+noisy points on a smooth surface, so a step in spread follows that valley. Those that were tried are averaged, as they
+are for few points.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from common.network.dense import Dense
-from common.network.kernel import LADDER_STEP, pair_distances
+from common.network.kernel import LADDER_STEP, mean_spacing, squared_distances, upper_sum_of_levels
 from common.network.selection import (
     BEHIND,
     ROUGHNESS,
+    TINY,
     Candidate,
     Family,
     Fit,
@@ -44,7 +47,9 @@ CLIMBED = 600
 """Points on which spread and smoothing are settled where there are more."""
 
 NEIGHBOURHOODS = 8
-"""Neighbourhoods that those points come from: as dense as all points are, or what is rough would pass for noise."""
+"""Neighbourhoods that those points come from: as dense as all points are, or what is rough would pass for noise.
+
+Where the few that ranked the candidates tell a smooth surface from its noise already, they come from anywhere."""
 
 TRIALS = 12
 """Candidates that a search may factorise."""
@@ -55,17 +60,32 @@ AFFORDED = 1000
 ROUND = 4
 """Candidates below which a search is not begun."""
 
+FINALISTS = 2
+"""Candidates that are solved instead, so that a core each has one, and averaged."""
+
 _SMOOTHING_STEP = 10**0.5
 _LOG_STEP = float(np.log(_SMOOTHING_STEP))
 
 STEPS = (1.0, 0.5)
-"""Lengths of steps, the next where the last found the best in its middle; as fine as the candidates of few points."""
+"""Lengths of steps, the next where the last found the best no further off; as fine as the candidates of few points."""
 
-PROMISED = 0.1
+PROMISED = 6.0
 """Score below which what a further round may gain is not worth its candidates: it would hardly change the average."""
+
+AIMS = 2
+"""Places tried where the parabolas have their least values: one leaves a core idle."""
 
 FARTHEST = 2.0
 """Steps that a parabola may lead away."""
+
+CLEAN = 1e-6
+"""Smoothing below which the points may have no noise at all, and the least smoothing is tried at once."""
+
+SMOOTH = 2.0
+"""Mean spacings of the points beyond which a spread is wide."""
+
+VALLEY = 3.0
+"""Steps to less smoothing that go with one to a wider spread: both tell how fine a detail is smoothed away."""
 
 
 def fit(
@@ -89,14 +109,17 @@ def fit(
     free = _Free(kernel=len(kinds) > 1, smoothing=len(smoothings) > 1)
     # Where points are many the reach of a ladder lies beyond what a prediction needs.
     endless = [kind for kind in kinds if kind.reach == np.inf]
-    starts = _starts(average(few, endless, spreads, smoothings, lambda share: tick(0.2 * share)).scored)
+    starts = _starts(average(few, endless, spreads, smoothings, lambda share: tick(0.2 * share), roughly=True).scored)
     if n > CLIMBED and not quick:
-        some = samples.take(_neighbourhoods(samples.X, order))
+        anywhere = _in_valley(starts[0], mean_spacing(few.X))
+        some = samples.take(np.sort(order[:CLIMBED]) if anywhere else _neighbourhoods(samples.X, order))
         search = _Search(some, spreads, TRIALS, lambda share: tick(0.2 + 0.4 * share))
-        starts = [search.climb(starts, free).scored.best]
+        starts = _best(search.climb(starts, free).scored, FINALISTS)
     budget = min(TRIALS, round(TRIALS * (AFFORDED / n) ** 3))
-    if quick or budget < ROUND:
+    if quick:
         budget = 1
+    elif budget < ROUND:
+        budget = len(starts)
     return _Search(samples, spreads, budget, lambda share: tick(0.6 + 0.4 * share)).climb(starts, free)
 
 
@@ -115,8 +138,9 @@ class _Search:
 
     def __init__(self, samples: Samples, spreads: FloatArray, budget: int, tick: Callable[[float], None]) -> None:
         self.samples, self.spreads, self.budget, self.tick = samples, spreads, budget, tick
-        self.r2 = pair_distances(samples.X)
+        self.r2 = squared_distances(samples.X)
         self.twins = twins(samples.X)
+        self.spacing = mean_spacing(samples.X)
         self.lowest = round(float(np.log(rounding_floor(len(samples))) / _LOG_STEP), 6)
         self.tried: dict[_Place, tuple[float, float, float, Solution, float]] = {}
         self.rooms: list[FloatArray] = []
@@ -132,12 +156,14 @@ class _Search:
 
     def _solved(self, place: _Place) -> tuple[float, float, float, Solution, float]:
         """Score, signal variance, restricted nll, network and smoothing of one candidate on all samples."""
-        samples, n = self.samples, len(self.samples)
+        samples, n, candidate = self.samples, len(self.samples), place.candidate
         try:
             room = self.rooms.pop()
         except IndexError:
-            room = np.empty((2, n, n))
-        dense = Dense(place.candidate.kind.kernel(self.spreads).of_pairs(self.r2), samples.weights, place.candidate.smoothing, room)
+            room = np.empty((3, n, n))
+        kernel = candidate.kind.kernel(self.spreads)
+        upper_sum_of_levels(self.r2, kernel.spreads, kernel.amplitudes, room[0])
+        dense = Dense(room[0], samples.weights, candidate.smoothing, room[1:])
         coefficients, bias = dense.solve(samples.y)
         restricted, variance = dense.restricted(samples, coefficients)
         (residuals, spread), (apart, variances) = dense.left_out(coefficients, *self.twins)
@@ -149,47 +175,64 @@ class _Search:
 
     def climb(self, starts: Sequence[Candidate], free: _Free) -> Fit:
         """From the best of the starts to better neighbours, ever closer ones; the average of all that were tried."""
-        places = [self._moved(_Place.of(start), 1, 0.0) for start in starts]
-        best = places[int(np.argmin(self.values(places)))]
+        places = [self._moved(_Place.of(start), (0.0, 0.0)) for start in starts]
+        if free.smoothing and starts[0].smoothing < CLEAN and self.budget > len(starts):
+            places = list(dict.fromkeys([places[0], self._moved(places[0], (0.0, -np.inf)), *places[1:]]))
+        best = places[0] if len(places) == 1 else places[int(np.argmin(self.values(places)))]
         for step in STEPS:
             near, promised = False, np.inf
             while not near and len(self.tried) < self.budget:
                 before, (best, promised) = best, self._round(best, step, free)
-                near = best.within(before, step / 2)
+                near = best.within(before, step)
             if promised < PROMISED:
                 break
         return self._averaged()
 
     def _round(self, middle: _Place, step: float, free: _Free) -> tuple[_Place, float]:
         """The best place about the middle, and what the parabolas say that half as long a step may still gain."""
-        axes = [axis for axis, is_free in enumerate((free.kernel, free.smoothing)) if is_free]
-        around = [self._moved(middle, axis, side * step) for axis in axes for side in (-1, 1)]
+        ways = self._ways(middle, free)
+        around = [self._moved(middle, way, side * step) for way in ways for side in (-1, 1)]
         here, *values = self.values([middle, *around])
-        aim, bends = middle, 0.0
-        for axis, left, right in zip(axes, values[::2], values[1::2], strict=True):
-            bend, lean = left + right - 2 * here, (left - right) / 2
+        # On a lattice the next round finds some of its candidates tried already.
+        most = round(FARTHEST * step / STEPS[-1])
+        away = STEPS[-1] / step * np.arange(-most, most + 1)
+        hopes, bends = {middle: here}, 0.0
+        for way, left, right in zip(ways, values[::2], values[1::2], strict=True):
+            bend, lean = left + right - 2 * here, (right - left) / 2
             if not np.isfinite(bend):
                 continue
-            away = lean / bend if bend > 0 else FARTHEST * np.sign(lean)
-            # On a lattice the next round finds some of its candidates tried already.
-            steps = round(step * float(np.clip(away, -FARTHEST, FARTHEST)) / STEPS[-1])
-            aim = self._moved(aim, axis, STEPS[-1] * steps)
+            gains = (lean * away + 0.5 * bend * away**2).tolist()
+            hopes = {
+                self._moved(place, way, step * steps): hope + gain
+                for place, hope in hopes.items()
+                for steps, gain in zip(away.tolist(), gains, strict=True)
+            }
             bends += max(bend, 0.0)
-        found = dict(zip([middle, *around, aim], [here, *values, *self.values([aim])], strict=True))
+        aims = sorted((place for place in hopes if place not in self.tried), key=lambda place: hopes[place])[:AIMS]
+        found = dict(zip([middle, *around, *aims], [here, *values, *self.values(aims)], strict=True))
         return min(found, key=lambda place: found[place]), bends / 8
 
-    def _moved(self, place: _Place, axis: int, steps: float) -> _Place:
-        """The place so many steps along the axis, within what a kernel can be and above the rounding floor."""
-        at = list(place.at)
-        at[axis] = round(at[axis] + steps, 6)
+    def _ways(self, place: _Place, free: _Free) -> list[tuple[float, float]]:
+        """The ways that lead on from a place: along the valley of equally smooth networks, and across it."""
+        ways = []
+        if free.kernel:
+            slanted = free.smoothing and _in_valley(place.candidate, self.spacing)
+            ways.append((1.0, -VALLEY if slanted else 0.0))
+        if free.smoothing:
+            ways.append((0.0, 1.0))
+        return ways
+
+    def _moved(self, place: _Place, way: tuple[float, float], steps: float = 1.0) -> _Place:
+        """The place so many steps on, within what a kernel can be and above the rounding floor."""
+        kernel, smoothing = (round(at + steps * part, 6) for at, part in zip(place.at, way, strict=True))
         if place.family == "ladder":
-            at[0] = min(max(at[0], 0.0), len(ROUGHNESS) - 1.0)
-        return _Place(place.family, (at[0], max(at[1], self.lowest)))
+            kernel = min(max(kernel, 0.0), len(ROUGHNESS) - 1.0)
+        return _Place(place.family, (kernel, max(smoothing, self.lowest)))
 
     def _averaged(self) -> Fit:
         places = list(self.tried)
         # Rounding may have asked for more smoothing than the candidate's.
-        candidates = [replace(place.candidate, smoothing=self.tried[place][4]) for place in places]
+        candidates = [place.candidate._replace(smoothing=self.tried[place][4]) for place in places]
         scored = Scored(candidates, *(np.array([self.tried[p][i] for p in places]) for i in range(3)))
         parts = [(p, share) for p, share in zip(places, scored.shares.tolist(), strict=True) if share]
         solutions = [self.tried[p][3].scaled(share) for p, share in parts]
@@ -198,15 +241,31 @@ class _Search:
         return combine(scored, alone, kernels, solutions, self.spreads, self.samples.weights)
 
 
+def _in_valley(candidate: Candidate, spacing: float) -> bool:
+    """Whether it is a wide kernel for noisy points of a smooth surface."""
+    family, parameter, _ = candidate.kind
+    return family != "ladder" and parameter > SMOOTH * spacing and candidate.smoothing >= CLEAN
+
+
+def _best(scored: Scored, most: int) -> list[Candidate]:
+    """At most so many candidates of the least scores, best first."""
+    return [scored.candidates[i] for i in np.argsort(scored.scores, kind="stable")[:most]]
+
+
 def _starts(ranked: Scored) -> list[Candidate]:
-    """The best of each family that is not far behind, best first."""
+    """The best of each family that is not far behind, best first, with less smoothing where the least was best."""
     best: dict[Family, tuple[float, Candidate]] = {}
     for candidate, value in zip(ranked.candidates, ranked.scores.tolist(), strict=True):
         family = candidate.kind.family
         if family not in best or value < best[family][0]:
             best[family] = (value, candidate)
     ordered = sorted(best.values(), key=lambda pair: pair[0])
-    return [candidate for value, candidate in ordered if value - ordered[0][0] < BEHIND]
+    least = min(candidate.smoothing for candidate in ranked.candidates)
+    return [
+        candidate._replace(smoothing=TINY) if candidate.smoothing == least < CLEAN else candidate
+        for value, candidate in ordered
+        if value - ordered[0][0] < BEHIND
+    ]
 
 
 @dataclass(frozen=True)
