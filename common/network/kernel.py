@@ -95,7 +95,7 @@ def sum_of_levels(r2: FloatArray, spreads: FloatArray, amplitudes: FloatArray) -
 
 
 def upper_sum_of_levels(r2: FloatArray, spreads: FloatArray, amplitudes: FloatArray, out: FloatArray) -> None:
-    """The same in the upper triangle of `out`, for symmetric `r2`, shape (n, n) both; what is below is not touched."""
+    """The same in the upper triangle of `out`, for symmetric `r2`, shape (n, n) both; what is below may be anything."""
     start = 0
     while start < len(r2):
         part = slice(start, start + max(1, _CACHED // (len(r2) - start)))

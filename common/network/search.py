@@ -2,9 +2,7 @@
 
 Each candidate of the search costs one Cholesky factorisation and the inverse of its factor. The search goes by rounds:
 a step to either side in spread (or roughness) and in smoothing, all on several cores at once, and some to where the
-parabolas through them have their least values. A wider spread with less smoothing makes nearly the same network of
-noisy points on a smooth surface, so a step in spread follows that valley. Those that were tried are averaged, as they
-are for few points.
+parabolas through them have their least values. Those that were tried are averaged, as they are for few points.
 """
 
 from __future__ import annotations
@@ -84,9 +82,6 @@ CLEAN = 1e-6
 SMOOTH = 2.0
 """Mean spacings of the points beyond which a spread is wide."""
 
-VALLEY = 3.0
-"""Steps to less smoothing that go with one to a wider spread: both tell how fine a detail is smoothed away."""
-
 
 def fit(
     samples: Samples,
@@ -109,9 +104,11 @@ def fit(
     free = _Free(kernel=len(kinds) > 1, smoothing=len(smoothings) > 1)
     # Where points are many the reach of a ladder lies beyond what a prediction needs.
     endless = [kind for kind in kinds if kind.reach == np.inf]
-    starts = _starts(average(few, endless, spreads, smoothings, lambda share: tick(0.2 * share), roughly=True).scored)
+    starts = _starts(
+        average(few, endless, spreads, smoothings, lambda share: tick(0.2 * share), roughly=not quick).scored
+    )
     if n > CLIMBED and not quick:
-        anywhere = _in_valley(starts[0], mean_spacing(few.X))
+        anywhere = _is_smooth(starts[0], mean_spacing(few.X))
         some = samples.take(np.sort(order[:CLIMBED]) if anywhere else _neighbourhoods(samples.X, order))
         search = _Search(some, spreads, TRIALS, lambda share: tick(0.2 + 0.4 * share))
         starts = _best(search.climb(starts, free).scored, FINALISTS)
@@ -140,7 +137,6 @@ class _Search:
         self.samples, self.spreads, self.budget, self.tick = samples, spreads, budget, tick
         self.r2 = squared_distances(samples.X)
         self.twins = twins(samples.X)
-        self.spacing = mean_spacing(samples.X)
         self.lowest = round(float(np.log(rounding_floor(len(samples))) / _LOG_STEP), 6)
         self.tried: dict[_Place, tuple[float, float, float, Solution, float]] = {}
         self.rooms: list[FloatArray] = []
@@ -175,9 +171,9 @@ class _Search:
 
     def climb(self, starts: Sequence[Candidate], free: _Free) -> Fit:
         """From the best of the starts to better neighbours, ever closer ones; the average of all that were tried."""
-        places = [self._moved(_Place.of(start), (0.0, 0.0)) for start in starts]
+        places = [self._moved(_Place.of(start), 1, 0.0) for start in starts]
         if free.smoothing and starts[0].smoothing < CLEAN and self.budget > len(starts):
-            places = list(dict.fromkeys([places[0], self._moved(places[0], (0.0, -np.inf)), *places[1:]]))
+            places = list(dict.fromkeys([places[0], self._moved(places[0], 1, -np.inf), *places[1:]]))
         best = places[0] if len(places) == 1 else places[int(np.argmin(self.values(places)))]
         for step in STEPS:
             near, promised = False, np.inf
@@ -190,20 +186,20 @@ class _Search:
 
     def _round(self, middle: _Place, step: float, free: _Free) -> tuple[_Place, float]:
         """The best place about the middle, and what the parabolas say that half as long a step may still gain."""
-        ways = self._ways(middle, free)
-        around = [self._moved(middle, way, side * step) for way in ways for side in (-1, 1)]
+        axes = [axis for axis, is_free in enumerate((free.kernel, free.smoothing)) if is_free]
+        around = [self._moved(middle, axis, side * step) for axis in axes for side in (-1, 1)]
         here, *values = self.values([middle, *around])
         # On a lattice the next round finds some of its candidates tried already.
         most = round(FARTHEST * step / STEPS[-1])
         away = STEPS[-1] / step * np.arange(-most, most + 1)
         hopes, bends = {middle: here}, 0.0
-        for way, left, right in zip(ways, values[::2], values[1::2], strict=True):
+        for axis, left, right in zip(axes, values[::2], values[1::2], strict=True):
             bend, lean = left + right - 2 * here, (right - left) / 2
             if not np.isfinite(bend):
                 continue
             gains = (lean * away + 0.5 * bend * away**2).tolist()
             hopes = {
-                self._moved(place, way, step * steps): hope + gain
+                self._moved(place, axis, step * steps): hope + gain
                 for place, hope in hopes.items()
                 for steps, gain in zip(away.tolist(), gains, strict=True)
             }
@@ -212,22 +208,13 @@ class _Search:
         found = dict(zip([middle, *around, *aims], [here, *values, *self.values(aims)], strict=True))
         return min(found, key=lambda place: found[place]), bends / 8
 
-    def _ways(self, place: _Place, free: _Free) -> list[tuple[float, float]]:
-        """The ways that lead on from a place: along the valley of equally smooth networks, and across it."""
-        ways = []
-        if free.kernel:
-            slanted = free.smoothing and _in_valley(place.candidate, self.spacing)
-            ways.append((1.0, -VALLEY if slanted else 0.0))
-        if free.smoothing:
-            ways.append((0.0, 1.0))
-        return ways
-
-    def _moved(self, place: _Place, way: tuple[float, float], steps: float = 1.0) -> _Place:
-        """The place so many steps on, within what a kernel can be and above the rounding floor."""
-        kernel, smoothing = (round(at + steps * part, 6) for at, part in zip(place.at, way, strict=True))
+    def _moved(self, place: _Place, axis: int, steps: float) -> _Place:
+        """The place so many steps along the axis, within what a kernel can be and above the rounding floor."""
+        at = list(place.at)
+        at[axis] = round(at[axis] + steps, 6)
         if place.family == "ladder":
-            kernel = min(max(kernel, 0.0), len(ROUGHNESS) - 1.0)
-        return _Place(place.family, (kernel, max(smoothing, self.lowest)))
+            at[0] = min(max(at[0], 0.0), len(ROUGHNESS) - 1.0)
+        return _Place(place.family, (at[0], max(at[1], self.lowest)))
 
     def _averaged(self) -> Fit:
         places = list(self.tried)
@@ -241,7 +228,7 @@ class _Search:
         return combine(scored, alone, kernels, solutions, self.spreads, self.samples.weights)
 
 
-def _in_valley(candidate: Candidate, spacing: float) -> bool:
+def _is_smooth(candidate: Candidate, spacing: float) -> bool:
     """Whether it is a wide kernel for noisy points of a smooth surface."""
     family, parameter, _ = candidate.kind
     return family != "ladder" and parameter > SMOOTH * spacing and candidate.smoothing >= CLEAN

@@ -36,6 +36,11 @@ def test_the_four_steps_are_scipy_s(n: int, order: str) -> None:
     np.testing.assert_allclose(diagonal, np.diag(inverse), rtol=1e-10)
     np.testing.assert_allclose(elements, inverse[rows, columns], rtol=1e-8, atol=1e-12)
     np.testing.assert_array_equal(factor, kept)
+    room = np.empty((2, n, n))
+    np.testing.assert_array_equal(lapack.cholesky(matrix, room[0].T), factor)
+    np.testing.assert_array_equal(lapack.inverse_elements(factor, rows, columns, room[1].T)[0], diagonal)
+    with pytest.raises(ValueError, match="room"):
+        lapack.cholesky(matrix, np.empty((n + 1, n)))
 
 
 def test_the_same_bits_as_scipy() -> None:
