@@ -97,9 +97,16 @@ def test_a_detail_in_a_small_part_keeps_the_patches() -> None:
     assert RBFNetwork().fit(many, y + detail).patches_ > 1
 
 
-def test_the_band_covers_the_truth(network: RBFNetwork) -> None:
-    mean, deviation = network.predict(Q, return_std=True)
-    assert 0.88 <= np.mean(np.abs(mean - sine(Q)) <= 1.96 * deviation) <= 0.99
+def test_the_band_covers_the_truth() -> None:
+    # The error of one smooth network is of a piece: a single cloud says little of how often the band holds.
+    shares = []
+    for seed in range(6):
+        points, rng = scattered(6000, seed), np.random.default_rng(100 + seed)
+        mean, deviation = (
+            RBFNetwork().fit(points, sine(points) + 0.05 * rng.normal(size=6000)).predict(Q, return_std=True)
+        )
+        shares.append(np.mean(np.abs(mean - sine(Q)) <= 1.96 * deviation))
+    assert 0.9 <= np.mean(shares) <= 0.98
 
 
 def test_the_same_points_give_the_same_surface(network: RBFNetwork) -> None:
