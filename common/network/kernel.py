@@ -146,11 +146,6 @@ def ladder_spreads(spacing: float, widest: float) -> FloatArray:
     return np.ascontiguousarray(spreads[:keep][::-1])
 
 
-def rough_amplitudes(spreads: FloatArray, roughness: float) -> FloatArray:
-    """a_l proportional to s_l^(2H), for the exponent H = `roughness` of the variogram."""
-    return np.asarray((spreads / spreads.max()) ** (2 * roughness))
-
-
 def nearest_distance(X: FloatArray) -> float:
     """Mean distance from a position to its nearest neighbour; zero for fewer than two."""
     if len(X) < 2:

@@ -25,10 +25,10 @@ from common.errors import TrainingError
 from common.network import calibration, local
 from common.network.cover import Cover, Frame, frame_for, ragged, step
 from common.network.dense import Dense
-from common.network.kernel import Kernel, rough_amplitudes
+from common.network.kernel import Kernel
 from common.network.local import CACHED, FAR, Levels
 from common.network.quadtree import DEEPEST, Quadtree
-from common.network.selection import TINY, Samples, Spectra, rounding_floor
+from common.network.selection import TINY, Kind, Samples, Spectra, rounding_floor
 from common.network.threads import in_order, parallel
 from common.surface import BoolArray, FloatArray, IntArray
 
@@ -64,16 +64,16 @@ TILE = 128
 QUERIES = 256
 """Most scattered positions that a patch evaluates at once."""
 
-FEW, MORE = 8, 64
-"""Patches that sort the kernels out, and most patches that choose among the likely ones; a quarter of all is enough."""
+ROUNDS = ((5, 8), (8, 3))
+"""Patches that have been asked after each round, and the kernels that more patches choose from."""
 
-LIKELY = 3
-"""Kernels that more patches choose from."""
+FEW, MORE = 16, 64
+"""Patches that choose among the last of them: a quarter of all is enough, within these limits."""
 
 CHECKED = 96
 """Patches whose points are held against the network without them."""
 
-LADDER: FloatArray = np.asarray(24.0 / 2.0 ** np.arange(7))
+LADDER: FloatArray = np.asarray(12.0 / 2.0 ** np.arange(7))
 """Spreads of the ladder in mean spacings; a patch is about ten spacings wide. A step of two is as good as the dense
 ladder's square root of two here, at half the cost, and a finer spread would pass for noise."""
 
@@ -82,6 +82,9 @@ SINGLE = (1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 16.0)
 
 ROUGHNESS = (0.25, 0.5, 0.7, 0.85, 1.0, 1.25, 1.5, 2.0, 3.0)
 """Exponents H of the ladder tried."""
+
+SCALES = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
+"""Scales of the multiquadrics, in mean spacings: rough beyond them, smooth within. Extrema of terrain are so."""
 
 SMOOTHINGS: FloatArray = np.logspace(-13, 1, 29)
 
@@ -273,23 +276,21 @@ class Partition:
             return kernels[0], float(smoothings[0])
         usual = np.flatnonzero((counts >= min(40, counts.max())) & (counts <= 4 * np.median(counts)))
         drawn = np.random.default_rng(0).permutation(usual if len(usual) else np.arange(len(self)))
-        few, more = drawn[:FEW], drawn[FEW : max(2 * FEW, min(MORE, len(self) // 4))]
         tick("selection", 0.0)
-        found = parallel(
-            lambda patch: self._scores(int(patch), values, kernels, smoothings),
-            few,
-            tick=lambda fraction: tick("selection", fraction / 2),
-        )
-        total = np.sum(found, axis=0)
-        likely = np.argsort(total.min(axis=1))[:LIKELY]
-        found = parallel(
-            lambda patch: self._scores(int(patch), values, [kernels[i] for i in likely], smoothings),
-            more,
-            tick=lambda fraction: tick("selection", (1 + fraction) / 2),
-        )
-        total = total[likely] + (np.sum(found, axis=0) if found else 0.0)
-        best = np.unravel_index(int(np.argmin(total)), total.shape)
-        return kernels[likely[best[0]]], float(smoothings[best[1]])
+        total, likely, asked = np.zeros((len(kernels), len(smoothings))), np.arange(len(kernels)), 0
+        most = max(FEW, min(MORE, len(self) // 4))
+        for until, kept in (*ROUNDS, (most, 1)):
+            total[likely] += self._summed_scores(drawn[asked:until], values, [kernels[i] for i in likely], smoothings)
+            likely, asked = likely[np.argsort(total[likely].min(axis=1), kind="stable")[:kept]], until
+            tick("selection", asked / most)
+        return kernels[likely[0]], float(smoothings[int(np.argmin(total[likely[0]]))])
+
+    def _summed_scores(
+        self, patches: IntArray, values: FloatArray, kernels: list[Kernel], smoothings: FloatArray
+    ) -> FloatArray:
+        """The `_scores` of several patches, added up."""
+        found = parallel(lambda patch: self._scores(int(patch), values, kernels, smoothings), patches)
+        return np.sum(found, axis=0) if found else np.zeros((len(kernels), len(smoothings)))
 
     def _scores(self, patch: int, values: FloatArray, kernels: list[Kernel], smoothings: FloatArray) -> FloatArray:
         """How badly each kernel and smoothing foretells the points of one patch, shape (kernels, smoothings).
@@ -572,9 +573,10 @@ _ARRAYS = (
 
 
 def _kernels() -> list[Kernel]:
-    """Ladders of every roughness and single Gaussians."""
-    ladders = [Kernel.mixture(LADDER, rough_amplitudes(LADDER, roughness)) for roughness in ROUGHNESS]
-    return ladders + [Kernel.single(spread) for spread in SINGLE]
+    """Ladders of every roughness, multiquadrics and single Gaussians."""
+    kinds = [Kind("ladder", roughness) for roughness in ROUGHNESS]
+    kinds += [Kind("multiquadric", scale) for scale in SCALES]
+    return [kind.kernel(LADDER) for kind in kinds] + [Kernel.single(spread) for spread in SINGLE]
 
 
 def _runs(size: IntArray, budget: int) -> list[slice]:

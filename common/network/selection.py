@@ -152,7 +152,6 @@ def amplitudes(kind: Kind, spreads: FloatArray) -> FloatArray:
     if family == "ladder":
         logs = 2 * parameter * np.log(spreads) - parameter * (spreads / reach) ** 2
         shares = np.exp(logs - logs.max())
-        shares[shares < FAINT] = 0
     elif family == "multiquadric":
         # (1 + r^2 / l^2)^(-1/4) is the mean of exp(-t r^2 / l^2) over t of density t^(-3/4) exp(-t); with
         # t = l^2 / 2 s^2 the density on a logarithmic ladder of s is t^(1/4) exp(-t).
@@ -160,6 +159,7 @@ def amplitudes(kind: Kind, spreads: FloatArray) -> FloatArray:
         shares = t**0.25 * np.exp(-t)
     else:
         raise ParameterError(f"family {family!r} has one spread, no mixture")
+    shares[shares < FAINT * shares.max()] = 0
     return np.asarray(shares / shares.sum())
 
 
