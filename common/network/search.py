@@ -55,6 +55,9 @@ TRIALS = 12
 AFFORDED = 1000
 """Points up to which a search on all of them may factorise so many; beyond, fewer by the cube of their number."""
 
+FAR_BEHIND = 24.0
+"""Score by which a family may lie behind where many more points are to come than those that ranked it."""
+
 ROUND = 4
 """Candidates below which a search is not begun."""
 
@@ -72,6 +75,9 @@ PROMISED = 6.0
 
 AIMS = 2
 """Places tried where the parabolas have their least values: one leaves a core idle."""
+
+LEVEL = 0.1
+"""Difference in score below which there is nothing to be found on the way."""
 
 FARTHEST = 2.0
 """Steps that a parabola may lead away."""
@@ -104,14 +110,20 @@ def fit(
     free = _Free(kernel=len(kinds) > 1, smoothing=len(smoothings) > 1)
     # Where points are many the reach of a ladder lies beyond what a prediction needs.
     endless = [kind for kind in kinds if kind.reach == np.inf]
-    starts = _starts(
-        average(few, endless, spreads, smoothings, lambda share: tick(0.2 * share), roughly=not quick).scored
-    )
-    if n > CLIMBED and not quick:
+    some = n <= CLIMBED
+    ranked = average(few, endless, spreads, smoothings, lambda share: tick(0.2 * share), roughly=some and not quick)
+    starts = _starts(ranked.scored, BEHIND)
+    if not some and not quick:
         anywhere = _is_smooth(starts[0], mean_spacing(few.X))
-        some = samples.take(np.sort(order[:CLIMBED]) if anywhere else _neighbourhoods(samples.X, order))
-        search = _Search(some, spreads, TRIALS, lambda share: tick(0.2 + 0.4 * share))
-        starts = _best(search.climb(starts, free).scored, FINALISTS)
+        near = samples.take(np.sort(order[:CLIMBED]) if anywhere else _neighbourhoods(samples.X, order))
+        search = _Search(near, spreads, TRIALS, lambda share: tick(0.2 + 0.4 * share))
+        found = search.climb(starts, free)
+        # The closer the points, the rougher a surface may look.
+        rough = [start for start in _starts(ranked.scored, FAR_BEHIND) if start.kind.family == "ladder"]
+        if rough and found.scored.best.kind.family != "ladder":
+            search.budget += TRIALS
+            found = search.climb(rough, free)
+        starts = _finalists(found.scored)
     budget = min(TRIALS, round(TRIALS * (AFFORDED / n) ** 3))
     if quick:
         budget = 1
@@ -195,7 +207,7 @@ class _Search:
         hopes, bends = {middle: here}, 0.0
         for axis, left, right in zip(axes, values[::2], values[1::2], strict=True):
             bend, lean = left + right - 2 * here, (right - left) / 2
-            if not np.isfinite(bend):
+            if not np.isfinite(bend) or max(abs(left - here), abs(right - here)) < LEVEL:
                 continue
             gains = (lean * away + 0.5 * bend * away**2).tolist()
             hopes = {
@@ -234,13 +246,15 @@ def _is_smooth(candidate: Candidate, spacing: float) -> bool:
     return family != "ladder" and parameter > SMOOTH * spacing and candidate.smoothing >= CLEAN
 
 
-def _best(scored: Scored, most: int) -> list[Candidate]:
-    """At most so many candidates of the least scores, best first."""
-    return [scored.candidates[i] for i in np.argsort(scored.scores, kind="stable")[:most]]
+def _finalists(scored: Scored) -> list[Candidate]:
+    """The best candidate, and the best of another family or, where that is far behind, the second best."""
+    ordered = [scored.candidates[i] for i in np.argsort(scored.scores, kind="stable")]
+    others = [candidate for candidate in _starts(scored, FAR_BEHIND) if candidate.kind.family != ordered[0].kind.family]
+    return [ordered[0], *others, *ordered[1:]][:FINALISTS]
 
 
-def _starts(ranked: Scored) -> list[Candidate]:
-    """The best of each family that is not far behind, best first, with less smoothing where the least was best."""
+def _starts(ranked: Scored, behind: float) -> list[Candidate]:
+    """The best of each family that is no further behind, best first, with less smoothing where the least was best."""
     best: dict[Family, tuple[float, Candidate]] = {}
     for candidate, value in zip(ranked.candidates, ranked.scores.tolist(), strict=True):
         family = candidate.kind.family
@@ -251,7 +265,7 @@ def _starts(ranked: Scored) -> list[Candidate]:
     return [
         candidate._replace(smoothing=TINY) if candidate.smoothing == least < CLEAN else candidate
         for value, candidate in ordered
-        if value - ordered[0][0] < BEHIND
+        if value - ordered[0][0] < behind
     ]
 
 
