@@ -47,7 +47,8 @@ CLIMBED = 600
 NEIGHBOURHOODS = 8
 """Neighbourhoods that those points come from: as dense as all points are, or what is rough would pass for noise.
 
-Where the few that ranked the candidates tell a smooth surface from its noise already, they come from anywhere."""
+Where the few that ranked the candidates tell a smooth surface from its noise already, they come from anywhere.
+"""
 
 TRIALS = 12
 """Candidates that a search may factorise."""
@@ -62,7 +63,7 @@ ROUND = 4
 """Candidates below which a search is not begun."""
 
 FINALISTS = 2
-"""Candidates that are solved instead, so that a core each has one, and averaged."""
+"""Candidates that are solved on all points instead, side by side, and averaged."""
 
 _SMOOTHING_STEP = 10**0.5
 _LOG_STEP = float(np.log(_SMOOTHING_STEP))
@@ -116,12 +117,12 @@ def fit(
     if not some and not quick:
         anywhere = _is_smooth(starts[0], mean_spacing(few.X))
         near = samples.take(np.sort(order[:CLIMBED]) if anywhere else _neighbourhoods(samples.X, order))
-        search = _Search(near, spreads, TRIALS, lambda share: tick(0.2 + 0.4 * share))
+        search = _Search(near, spreads, TRIALS, lambda share: tick(0.2 + 0.2 * share))
         found = search.climb(starts, free)
         # The closer the points, the rougher a surface may look.
         rough = [start for start in _starts(ranked.scored, FAR_BEHIND) if start.kind.family == "ladder"]
         if rough and found.scored.best.kind.family != "ladder":
-            search.budget += TRIALS
+            search.budget, search.tick = search.budget + TRIALS, lambda share: tick(0.4 + 0.2 * share)
             found = search.climb(rough, free)
         starts = _finalists(found.scored)
     budget = min(TRIALS, round(TRIALS * (AFFORDED / n) ** 3))

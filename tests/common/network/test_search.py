@@ -8,7 +8,7 @@ from threadpoolctl import threadpool_limits
 
 from common.network import RBFNetwork, search, threads
 from common.network.kernel import ladder_spreads, mean_spacing
-from common.network.selection import SMOOTHINGS, Kind, Samples, average, families, rounding_floor
+from common.network.selection import SMOOTHINGS, Candidate, Kind, Samples, Scored, average, families, rounding_floor
 
 
 def samples(n: int, noise: float) -> Samples:
@@ -29,6 +29,31 @@ def test_a_handful_of_candidates_finds_the_family_and_the_noise(noise: float) ->
     assert found.scored.best.kind.family == "single"
     if noise:
         assert noise**2 / 2 < found.smoothing * found.variance < 2 * noise**2
+
+
+def test_a_rough_kernel_has_its_chance_where_many_more_points_are_to_come() -> None:
+    """What few points take for smooth and noisy is rough and clean to many."""
+    rng = np.random.default_rng(3)
+    waves = rng.normal(size=(80, 2))
+    waves *= (2 * np.pi / np.geomspace(4, 0.15, 80) / np.linalg.norm(waves, axis=1))[:, None]
+    X = rng.uniform(-1, 1, (1600, 2))
+    heights = np.sin(X @ waves.T + rng.uniform(0, 6, 80)) / np.linalg.norm(waves, axis=1) ** 1.5
+    given = Samples(X, heights.sum(axis=1)[:, None] / heights.sum(axis=1).std(), np.ones(1600))
+    spreads = ladder_spreads(mean_spacing(X), 4.0)
+    told: list[float] = []
+    found = search.fit(given, families(spreads, 2.0), spreads, SMOOTHINGS[2:], told.append)
+    assert "ladder" in {candidate.kind.family for candidate in found.scored.candidates}
+    assert len(found.scored.candidates) == search.FINALISTS
+    assert told == sorted(told)
+
+
+def test_finalists_come_from_two_families_unless_one_is_far_behind() -> None:
+    smooth, rough = Kind("single", 0.5), Kind("ladder", 1.0)
+    candidates = [Candidate(smooth, 1e-3), Candidate(smooth, 1e-2), Candidate(rough, 1e-9), Candidate(rough, 1e-4)]
+    for behind, second in ((5.0, 2), (2 * search.FAR_BEHIND, 1)):
+        scored = Scored(candidates, np.array([0.0, 1.0, behind, behind + 1.0]), np.ones(4), np.ones(4))
+        kinds = [candidate.kind for candidate in search._finalists(scored)]
+        assert kinds == [smooth, candidates[second].kind]
 
 
 def test_what_is_given_stays() -> None:
