@@ -73,7 +73,7 @@ FEW, MORE = 16, 64
 CHECKED = 96
 """Patches whose points are held against the network without them."""
 
-LADDER: FloatArray = np.asarray(12.0 / 2.0 ** np.arange(7))
+LADDER: FloatArray = np.asarray(24.0 / 2.0 ** np.arange(7))
 """Spreads of the ladder in mean spacings; a patch is about ten spacings wide. A step of two is as good as the dense
 ladder's square root of two here, at half the cost, and a finer spread would pass for noise."""
 
@@ -83,8 +83,9 @@ SINGLE = (1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 16.0)
 ROUGHNESS = (0.25, 0.5, 0.7, 0.85, 1.0, 1.25, 1.5, 2.0, 3.0)
 """Exponents H of the ladder tried."""
 
-SCALES = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
-"""Scales of the multiquadrics, in mean spacings: rough beyond them, smooth within. Extrema of terrain are so."""
+SCALES = (0.35, 0.5, 0.7)
+"""Scales of the multiquadrics, in mean spacings, on a ladder that begins a step further down: rougher than any of the
+others, as the extrema of terrain are. Wider ones take what is rough for noise."""
 
 SMOOTHINGS: FloatArray = np.logspace(-13, 1, 29)
 
@@ -574,9 +575,9 @@ _ARRAYS = (
 
 def _kernels() -> list[Kernel]:
     """Ladders of every roughness, multiquadrics and single Gaussians."""
-    kinds = [Kind("ladder", roughness) for roughness in ROUGHNESS]
-    kinds += [Kind("multiquadric", scale) for scale in SCALES]
-    return [kind.kernel(LADDER) for kind in kinds] + [Kernel.single(spread) for spread in SINGLE]
+    ladders = [Kind("ladder", roughness).kernel(LADDER) for roughness in ROUGHNESS]
+    multiquadrics = [Kind("multiquadric", scale).kernel(LADDER / 2) for scale in SCALES]
+    return [*ladders, *multiquadrics, *(Kernel.single(spread) for spread in SINGLE)]
 
 
 def _runs(size: IntArray, budget: int) -> list[slice]:

@@ -111,16 +111,15 @@ def fit(
     free = _Free(kernel=len(kinds) > 1, smoothing=len(smoothings) > 1)
     # Where points are many the reach of a ladder lies beyond what a prediction needs.
     endless = [kind for kind in kinds if kind.reach == np.inf]
-    some = n <= CLIMBED
-    ranked = average(few, endless, spreads, smoothings, lambda share: tick(0.2 * share), roughly=some and not quick)
-    starts = _starts(ranked.scored, BEHIND)
-    if not some and not quick:
+    ranked = average(few, endless, spreads, smoothings, lambda share: tick(0.2 * share)).scored
+    starts = _starts(ranked, BEHIND)
+    if n > CLIMBED and not quick:
         anywhere = _is_smooth(starts[0], mean_spacing(few.X))
         near = samples.take(np.sort(order[:CLIMBED]) if anywhere else _neighbourhoods(samples.X, order))
         search = _Search(near, spreads, TRIALS, lambda share: tick(0.2 + 0.2 * share))
         found = search.climb(starts, free)
         # The closer the points, the rougher a surface may look.
-        rough = [start for start in _starts(ranked.scored, FAR_BEHIND) if start.kind.family == "ladder"]
+        rough = [start for start in _starts(ranked, FAR_BEHIND) if start.kind.family == "ladder"]
         if rough and found.scored.best.kind.family != "ladder":
             search.budget, search.tick = search.budget + TRIALS, lambda share: tick(0.4 + 0.2 * share)
             found = search.climb(rough, free)

@@ -366,15 +366,12 @@ def average(
     spreads: FloatArray,
     smoothings: FloatArray,
     tick: Callable[[float], None],
-    *,
-    roughly: bool = False,
 ) -> Fit:
     """Score kinds of kernels with every smoothing, and average them.
 
     Of many kinds every other one is tried, and the ends of every run of one family, then those beside one that is not
     far behind: kinds are in the order of their parameter, so what stands between two that count for nothing does not
-    count either. Only `roughly`, for a search that goes on from there, every fourth one is tried, then those halfway
-    to the next.
+    count either.
     """
     r2 = squared_distances(samples.X)
     levels = np.array(level_matrices(r2, spreads))
@@ -396,15 +393,11 @@ def average(
         found = parallel(work, range(0, len(rows), batch), tick=tell)
         tried.update(zip(rows, chain(*found), strict=True))
 
-    first: Sequence[int] = range(len(kinds))
-    if len(kinds) > COUNTED:
-        first = first[::4] if roughly else _every_other(kinds)
+    first = _every_other(kinds) if len(kinds) > COUNTED else range(len(kinds))
     trial(first, lambda share: tick(share * len(first) / len(kinds)))
     worth = {i: float(one.scores.min()) for i, one in tried.items()}
-    half = 2 if roughly else 1
-    hot = {i for i, value in worth.items() if value <= min(worth.values()) + half * BEHIND}
-    about = {j for i in hot for j in (i - half, i + half) if 0 <= j < len(kinds)}
-    between = sorted(about - tried.keys())
+    hot = {i for i, value in worth.items() if value <= min(worth.values()) + BEHIND}
+    between = sorted({j for i in hot for j in (i - 1, i + 1) if j < len(kinds)} - {-1} - tried.keys())
     trial(between, lambda share: tick((len(first) + share * len(between)) / len(kinds)))
     tick(1.0)
 
