@@ -120,7 +120,7 @@ def fit(
         found = search.climb(starts, free)
         # The closer the points, the rougher a surface may look.
         rough = [start for start in _starts(ranked, FAR_BEHIND) if start.kind.family == "ladder"]
-        if rough and found.scored.best.kind.family != "ladder":
+        if rough and not anywhere and found.scored.best.kind.family != "ladder":
             search.budget, search.tick = search.budget + TRIALS, lambda share: tick(0.4 + 0.2 * share)
             found = search.climb(rough, free)
         starts = _finalists(found.scored)
