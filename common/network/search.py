@@ -83,6 +83,9 @@ LEVEL = 0.1
 FARTHEST = 2.0
 """Steps that a parabola may lead away."""
 
+WORTHLESS = 8.0
+"""Score that a place must be expected to lie behind, and it is not tried."""
+
 CLEAN = 1e-6
 """Smoothing below which the points may have no noise at all, and the least smoothing is tried at once."""
 
@@ -153,14 +156,14 @@ class _Search:
         self.tried: dict[_Place, tuple[float, float, float, Solution, float]] = {}
         self.rooms: list[FloatArray] = []
 
-    def values(self, places: Sequence[_Place]) -> list[float]:
-        """The scores, infinite where the budget is spent."""
+    def scores(self, places: Sequence[_Place]) -> dict[_Place, float]:
+        """Of each place, infinite where the budget is spent."""
         fresh = [place for place in dict.fromkeys(places) if place not in self.tried]
         fresh = fresh[: self.budget - len(self.tried)]
         found = parallel(self._solved, fresh)
         self.tried |= zip(fresh, found, strict=True)
         self.tick(len(self.tried) / self.budget)
-        return [self.tried[place][0] if place in self.tried else np.inf for place in places]
+        return {place: self.tried[place][0] if place in self.tried else np.inf for place in places}
 
     def _solved(self, place: _Place) -> tuple[float, float, float, Solution, float]:
         """Score, signal variance, restricted nll, network and smoothing of one candidate on all samples."""
@@ -186,39 +189,47 @@ class _Search:
         places = [self._moved(_Place.of(start), 1, 0.0) for start in starts]
         if free.smoothing and starts[0].smoothing < CLEAN and self.budget > len(starts):
             places = list(dict.fromkeys([places[0], self._moved(places[0], 1, -np.inf), *places[1:]]))
-        best = places[0] if len(places) == 1 else places[int(np.argmin(self.values(places)))]
+        best = places[0] if len(places) == 1 else _least(self.scores(places))
+        axes = [axis for axis, is_free in enumerate((free.kernel, free.smoothing)) if is_free]
         for step in STEPS:
             near, promised = False, np.inf
             while not near and len(self.tried) < self.budget:
-                before, (best, promised) = best, self._round(best, step, free)
+                before, (best, axes, promised) = best, self._round(best, step, axes)
                 near = best.within(before, step)
             if promised < PROMISED:
                 break
         return self._averaged()
 
-    def _round(self, middle: _Place, step: float, free: _Free) -> tuple[_Place, float]:
-        """The best place about the middle, and what the parabolas say that half as long a step may still gain."""
-        axes = [axis for axis, is_free in enumerate((free.kernel, free.smoothing)) if is_free]
-        around = [self._moved(middle, axis, side * step) for axis in axes for side in (-1, 1)]
-        here, *values = self.values([middle, *around])
+    def _round(self, middle: _Place, step: float, axes: Sequence[int]) -> tuple[_Place, list[int], float]:
+        """The best place about the middle, the axes that are not done with, and what half as long a step may gain.
+
+        Parabolas tell. An axis is done with where the middle lies at its end and the way from there is steep.
+        """
+        here = self.scores([middle])[middle]
+        sides = {axis: [self._moved(middle, axis, side * step) for side in (-1, 1)] for axis in axes}
+        found = {middle: here} | self.scores([place for pair in sides.values() for place in pair])
+        hopes, going, gain = {middle: here}, list(axes), 0.0
         # On a lattice the next round finds some of its candidates tried already.
-        most = round(FARTHEST * step / STEPS[-1])
-        away = STEPS[-1] / step * np.arange(-most, most + 1)
-        hopes, bends = {middle: here}, 0.0
-        for axis, left, right in zip(axes, values[::2], values[1::2], strict=True):
-            bend, lean = left + right - 2 * here, (right - left) / 2
-            if not np.isfinite(bend) or max(abs(left - here), abs(right - here)) < LEVEL:
+        far = round(FARTHEST * step / STEPS[-1])
+        for axis, pair in sides.items():
+            left, right = (found[place] - here for place in pair)
+            if not np.isfinite(left + right) or max(abs(left), abs(right)) < LEVEL:
                 continue
-            gains = (lean * away + 0.5 * bend * away**2).tolist()
-            hopes = {
-                self._moved(place, axis, step * steps): hope + gain
-                for place, hope in hopes.items()
-                for steps, gain in zip(away.tolist(), gains, strict=True)
-            }
-            bends += max(bend, 0.0)
-        aims = sorted((place for place in hopes if place not in self.tried), key=lambda place: hopes[place])[:AIMS]
-        found = dict(zip([middle, *around, *aims], [here, *values, *self.values(aims)], strict=True))
-        return min(found, key=lambda place: found[place]), bends / 8
+            if middle in pair and (left + right) * STEPS[-1] / step > WORTHLESS:
+                going.remove(axis)
+                continue
+            gain += max(left + right, 0.0) / 8
+            aims = {}
+            for place, hope in hopes.items():
+                for k in range(-far, far + 1):
+                    aim = self._moved(place, axis, k * STEPS[-1])
+                    way = (aim.at[axis] - middle.at[axis]) / step
+                    aims[aim] = hope + (right - left) / 2 * way + (left + right) / 2 * way**2
+            hopes = aims
+        new = sorted((hope, place.at, place) for place, hope in hopes.items() if place not in self.tried)
+        worth = min(found.values()) + WORTHLESS
+        found |= self.scores([place for hope, _, place in new[:AIMS] if hope < worth])
+        return _least(found), going, gain
 
     def _moved(self, place: _Place, axis: int, steps: float) -> _Place:
         """The place so many steps along the axis, within what a kernel can be and above the rounding floor."""
@@ -238,6 +249,10 @@ class _Search:
         kernels = [p.candidate.kind.kernel(self.spreads) for p, _ in parts]
         alone = self.tried[places[int(np.argmin(scored.scores))]][3].spread
         return combine(scored, alone, kernels, solutions, self.spreads, self.samples.weights)
+
+
+def _least(scores: dict[_Place, float]) -> _Place:
+    return min(scores, key=lambda place: scores[place])
 
 
 def _is_smooth(candidate: Candidate, spacing: float) -> bool:

@@ -64,6 +64,12 @@ COUNTED = 12
 BEHIND = 8.0
 """Score by which a kernel may lie behind and those beside it are still worth a trial."""
 
+COARSE = 4
+"""Steps from kernel to kernel among those that are tried first."""
+
+REFINEMENTS = ((2, 3 * BEHIND), (1, BEHIND))
+"""Finer steps from kernel to kernel, and the score by which one may lie behind and those so near are tried."""
+
 FEW = 30
 """Points below which that belief fades: three points are worth little, but all there is."""
 
@@ -369,9 +375,9 @@ def average(
 ) -> Fit:
     """Score kinds of kernels with every smoothing, and average them.
 
-    Of many kinds every other one is tried, and the ends of every run of one family, then those beside one that is not
-    far behind: kinds are in the order of their parameter, so what stands between two that count for nothing does not
-    count either.
+    Of many kinds every fourth one is tried, and the ends of every run of one family, then those between two of which
+    one is not far behind: kinds are in the order of their parameter, so what stands between two that count for nothing
+    does not count either.
     """
     r2 = squared_distances(samples.X)
     levels = np.array(level_matrices(r2, spreads))
@@ -379,8 +385,8 @@ def average(
     close = twins(samples.X)
     tried: dict[int, _Tried] = {}
 
-    def trial(rows: Sequence[int], tell: Callable[[float], None]) -> None:
-        values = max(1, len(samples) ** 2)
+    def trial(rows: Sequence[int]) -> None:
+        before, values = len(tried), max(1, len(samples) ** 2)
         batch = max(1, min(_BATCH // values, max(_LEAST // values, -(-len(rows) // _PARTS))))
 
         def work(start: int) -> list[_Tried]:
@@ -390,15 +396,20 @@ def average(
             scores = score(len(samples), left_out, smoothings)
             return [_Tried(spectra, *one) for one in zip(range(len(part)), scores, variances, restricted, strict=True)]
 
+        def tell(share: float) -> None:
+            tick((before + share * len(rows)) / len(kinds))
+
         found = parallel(work, range(0, len(rows), batch), tick=tell)
         tried.update(zip(rows, chain(*found), strict=True))
 
-    first = _every_other(kinds) if len(kinds) > COUNTED else range(len(kinds))
-    trial(first, lambda share: tick(share * len(first) / len(kinds)))
-    worth = {i: float(one.scores.min()) for i, one in tried.items()}
-    hot = {i for i, value in worth.items() if value <= min(worth.values()) + BEHIND}
-    between = sorted({j for i in hot for j in (i - 1, i + 1) if j < len(kinds)} - {-1} - tried.keys())
-    trial(between, lambda share: tick((len(first) + share * len(between)) / len(kinds)))
+    first = _every(COARSE, kinds) if len(kinds) > COUNTED else range(len(kinds))
+    trial(first)
+    for step, behind in REFINEMENTS:
+        rows = sorted(tried)
+        worth = np.array([tried[i].scores.min() for i in rows])
+        hot = np.flatnonzero(worth <= worth.min() + behind).tolist()
+        about = {i for k in hot for i in range(rows[max(0, k - 1)] + 1, rows[min(k + 1, len(rows) - 1)])}
+        trial(sorted(about.intersection(_every(step, kinds)) - tried.keys()))
     tick(1.0)
 
     rows = sorted(tried)
@@ -419,12 +430,12 @@ def average(
     )
 
 
-def _every_other(kinds: Sequence[Kind]) -> list[int]:
-    """Rows of every other kind, and of the first and the last of every run of one family, with a reach or without."""
+def _every(step: int, kinds: Sequence[Kind]) -> list[int]:
+    """Rows of kinds so many steps apart, and of the ends of every run of one family, with a reach or without."""
     runs = [(kind.family, kind.reach == math.inf) for kind in kinds]
     last = len(kinds) - 1
     ends = {i for i in range(len(kinds)) if i in (0, last) or runs[i - 1] != runs[i] or runs[i + 1] != runs[i]}
-    return sorted({*range(0, len(kinds), 2), *ends})
+    return sorted({*range(0, len(kinds), step), *ends})
 
 
 class _Tried(NamedTuple):

@@ -31,6 +31,17 @@ def test_a_handful_of_candidates_finds_the_family_and_the_noise(noise: float) ->
         assert noise**2 / 2 < found.smoothing * found.variance < 2 * noise**2
 
 
+def test_of_clean_points_hardly_any_candidate_is_smoothed() -> None:
+    given, floor = samples(400, 0.0), rounding_floor(400)
+    spreads = ladder_spreads(mean_spacing(given.X), 4.0)
+    found = search.fit(given, families(spreads, 2.0), spreads, SMOOTHINGS, lambda _share: None)
+    tried = [
+        candidate for candidate in found.scored.candidates if candidate.kind.family == found.scored.best.kind.family
+    ]
+    assert len(tried) > 3
+    assert sum(candidate.smoothing > 1.001 * floor for candidate in tried) == 1
+
+
 def test_a_rough_kernel_has_its_chance_where_many_more_points_are_to_come() -> None:
     """What few points take for smooth and noisy is rough and clean to many."""
     rng = np.random.default_rng(3)

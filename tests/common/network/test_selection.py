@@ -215,7 +215,7 @@ def test_eigenvalues_are_found_where_divide_and_conquer_fails(monkeypatch: pytes
 
 @pytest.mark.parametrize("f", ["plane", "saddle", "waves"])
 @pytest.mark.parametrize("n", [30, 90])
-def test_trying_every_other_kernel_first_misses_none_that_counts(
+def test_trying_every_fourth_kernel_first_misses_none_that_counts(
     f: str, n: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     X = np.random.default_rng(n).uniform(-1, 1, (n, 2))
@@ -231,6 +231,6 @@ def test_trying_every_other_kernel_first_misses_none_that_counts(
     assert told[-1] == 1.0
     monkeypatch.setattr(selection, "COUNTED", len(kinds))
     every = average(some, kinds, spreads, smoothings, told.append)
-    assert len(few.scored.candidates) < len(every.scored.candidates)
+    assert len(few.scored.candidates) <= 0.75 * len(every.scored.candidates)
     assert few.scored.best == every.scored.best
     np.testing.assert_allclose(few.residuals, every.residuals, atol=0.05 * np.sqrt(np.mean(every.residuals**2)))
