@@ -25,7 +25,7 @@ FEWEST = 20
 
 UNSURE = 1.5
 
-ALLOWANCE = 4.0
+ALLOWANCE = 7.0
 """Over the number of points, what is added to the factor: spread and smoothing were chosen with the point at hand."""
 
 DETAIL = 1e-3
