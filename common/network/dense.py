@@ -31,14 +31,15 @@ class Dense:
         Samples behind each value.
     smoothing : float
         lambda, positive.
-    room : ndarray, shape (2, n, n), optional
-        Where the factor stands, and what comes of it: who factorises often saves more than a third of the time.
+    room : ndarray, shape (n, n), optional
+        Where the factor stands: who factorises often saves more than a third of the time. There `left_out` inverts it,
+        and is the last that can be asked.
     """
 
     def __init__(self, gram: FloatArray, weights: FloatArray, smoothing: float, room: FloatArray | None = None) -> None:
         n = len(gram)
-        own_room = None if room is None else room[0].T
-        self._room = None if room is None else room[1].T
+        self._lent = room is not None
+        own_room = None if room is None else room.T
         self.weights = weights
         diagonal = np.diag_indices(n)
         own = gram[diagonal]
@@ -72,7 +73,9 @@ class Dense:
 
     def left_out(self, coefficients: FloatArray, rows: IntArray, twins: IntArray) -> tuple[Residuals, Residuals]:
         """The residuals of `leave_one_out`, and those of the rows (p,) without their twins (p,), too, else the same."""
-        diagonal, elements = lapack.inverse_elements(self.factor, rows, twins, self._room)
+        diagonal, elements = lapack.inverse_elements(self.factor, rows, twins, in_place=self._lent)
+        if self._lent:
+            del self.factor
         diagonal -= self.one**2 / self.one.sum()
         alone = coefficients / diagonal[:, None], 1 / diagonal
         if not len(rows):

@@ -61,7 +61,8 @@ def _columns_first(values: FloatArray, out: FloatArray | None = None) -> FloatAr
         return np.array(values, dtype=np.float64, order="F")
     if out.shape != values.shape or out.dtype != np.float64 or not out.flags.f_contiguous:
         raise ValueError(f"room for Fortran-ordered float64 values {values.shape} is needed, got the shape {out.shape}")
-    np.copyto(out, values)
+    if out is not values:
+        np.copyto(out, values)
     return out
 
 
@@ -106,14 +107,14 @@ def solve_lower(factor: FloatArray, right: FloatArray, *, transposed: bool = Fal
 
 
 def inverse_elements(
-    factor: FloatArray, rows: IntArray, columns: IntArray, room: FloatArray | None = None
+    factor: FloatArray, rows: IntArray, columns: IntArray, *, in_place: bool = False
 ) -> tuple[FloatArray, FloatArray]:
     """The diagonal (n,) of (L L^T)^-1 for a factor of `cholesky`, and its elements (p,) at rows and columns (p,).
 
-    They are products of columns of L^-1, which is a third of the work of the whole inverse. It is left in the `room`
-    (n, n), Fortran-ordered, where that is given.
+    They are products of columns of L^-1, which is a third of the work of the whole inverse. Where it is `in_place` it
+    stands where the factor did.
     """
-    inverted = _columns_first(factor, room)
+    inverted = _columns_first(factor, factor if in_place else None)
     _invert_lower(inverted, _side(factor))
     diagonal = np.empty(len(factor))
     for start in range(0, len(factor), _STRIP):

@@ -171,10 +171,10 @@ class _Search:
         try:
             room = self.rooms.pop()
         except IndexError:
-            room = np.empty((3, n, n))
+            room = np.empty((2, n, n))
         kernel = candidate.kind.kernel(self.spreads)
         upper_sum_of_levels(self.r2, kernel.spreads, kernel.amplitudes, room[0])
-        dense = Dense(room[0], samples.weights, candidate.smoothing, room[1:])
+        dense = Dense(room[0], samples.weights, candidate.smoothing, room[1])
         coefficients, bias = dense.solve(samples.y)
         restricted, variance = dense.restricted(samples, coefficients)
         (residuals, spread), (apart, variances) = dense.left_out(coefficients, *self.twins)

@@ -36,9 +36,11 @@ def test_the_four_steps_are_scipy_s(n: int, order: str) -> None:
     np.testing.assert_allclose(diagonal, np.diag(inverse), rtol=1e-10)
     np.testing.assert_allclose(elements, inverse[rows, columns], rtol=1e-8, atol=1e-12)
     np.testing.assert_array_equal(factor, kept)
-    room = np.empty((2, n, n))
-    np.testing.assert_array_equal(lapack.cholesky(matrix, room[0].T), factor)
-    np.testing.assert_array_equal(lapack.inverse_elements(factor, rows, columns, room[1].T)[0], diagonal)
+    room = np.empty((n, n)).T
+    assert lapack.cholesky(matrix, room) is room
+    np.testing.assert_array_equal(room, factor)
+    np.testing.assert_array_equal(lapack.inverse_elements(room, rows, columns, in_place=True)[0], diagonal)
+    np.testing.assert_allclose(np.tril(room) @ np.tril(factor), np.eye(n), atol=1e-10)
     with pytest.raises(ValueError, match="room"):
         lapack.cholesky(matrix, np.empty((n + 1, n)))
 

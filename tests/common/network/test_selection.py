@@ -75,6 +75,10 @@ def test_leave_one_out_residuals_are_those_of_refits_without_the_point(samples: 
     np.testing.assert_allclose(spectral.residuals, expected, rtol=1e-7, atol=1e-10)
     np.testing.assert_allclose(residuals, expected, rtol=1e-7, atol=1e-10)
     np.testing.assert_allclose(variance, spectral.spread, rtol=1e-8)
+    lent = Dense(KERNEL.gram(samples.X), samples.weights, SMOOTHING, np.empty((len(samples), len(samples))))
+    np.testing.assert_array_equal(lent.leave_one_out(lent.solve(samples.y)[0])[0], residuals)
+    with pytest.raises(AttributeError, match="factor"):
+        lent.solve(samples.y)
 
 
 def test_the_restricted_likelihood_is_that_of_contrasts(samples: Samples) -> None:
