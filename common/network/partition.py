@@ -95,6 +95,18 @@ MEMORY = 4 << 30
 BYTES_A_POINT = 400
 """Peak of a fit as measured, in bytes a point, rounded up."""
 
+LOUD = 30.0
+"""Times the usual amplitude, over the deviation of the values, that a kernel has in a patch that it does not suit."""
+
+NARROWER = (1.0, 2.0, 4.0, 8.0)
+"""Parts of their spreads that the kernels of such a patch are made of."""
+
+CALMING = 0.1
+"""Least smoothing of such a patch: its left-out points ask for less, and between the points it would still explode."""
+
+FLAT = 1e-12
+"""Deviation, in that of all values, below which the values of a patch are one value and rounding."""
+
 _RAISES = 12
 
 
@@ -208,6 +220,8 @@ class Partition:
         kernel, level = made._chosen(values, spread, smoothing, told)
         made.kernel, made.smoothing = kernel, np.full(patches, level)
         made._solve(values, told)
+        if spread == smoothing == "auto":
+            made._mend(values)
         made._calibrate(values)
         return made
 
@@ -313,10 +327,35 @@ class Partition:
     def _solve(self, values: FloatArray, tick: Tick) -> None:
         """Coefficients, bias and amplitude of every patch."""
         outputs = values.shape[1]
-        levels = Levels(self.kernel)
         self.coefficients = np.zeros((len(self.members), outputs))
         self.bias, self.amplitude = np.zeros((len(self), outputs)), np.zeros((len(self), outputs))
-        order = np.argsort(np.diff(self.starts), kind="stable")
+        self._solve_again(np.argsort(np.diff(self.starts), kind="stable"), values, tick)
+
+    def _mend(self, values: FloatArray) -> None:
+        """A narrower kernel and a smoothing of their own for patches that what suits the others makes explode.
+
+        So does a cliff in a smooth surface: it takes a wide Gaussian an amplitude far beyond the heights.
+        """
+        rows = np.split(values[self.members], self.starts[1:-1])
+        deviations = np.sqrt([part.var(axis=0).mean() for part in rows])
+        alive = deviations > FLAT
+        loudness = np.sqrt(np.mean(self.amplitude**2, axis=1))[alive] / deviations[alive]
+        loud = np.flatnonzero(alive)[loudness > LOUD * np.median(loudness)] if alive.any() else np.zeros(0, np.int64)
+        if not len(loud):
+            return
+        kernels = [Kernel(self.kernel.spreads / part, self.kernel.amplitudes) for part in NARROWER]
+        smoothings = SMOOTHINGS[CALMING <= SMOOTHINGS]
+        found = parallel(lambda patch: self._scores(int(patch), values, kernels, smoothings), loud)
+        for patch, scores in zip(loud, found, strict=True):
+            kernel, level = np.unravel_index(int(np.argmin(scores)), scores.shape)
+            self.spacings[patch] /= NARROWER[kernel]
+            self.smoothing[patch] = smoothings[level]
+        self._solve_again(loud[np.argsort(np.diff(self.starts)[loud], kind="stable")], values, lambda *_: None)
+
+    def _solve_again(self, order: IntArray, values: FloatArray, tick: Tick) -> None:
+        """The same of some patches, in this order."""
+        outputs = values.shape[1]
+        levels = Levels(self.kernel)
 
         def work(patches: IntArray) -> None:
             points, slots, real = self._batch(patches)
@@ -356,7 +395,12 @@ class Partition:
         counts = [len(part[0]) for part in found]
         amplitude = np.maximum(self.amplitude[sample], TINY)
         smoothed = np.repeat(self.smoothing[sample, None] * amplitude**2, counts, axis=0)
-        self.factor, self.detail = calibration.factor(ratios), np.ones(values.shape[1])
+        # What is flat is known to the last bit, and tells nothing of the rest.
+        lively = np.any(deviations > FLAT, axis=1)
+        ratios[~lively] = 0.0
+        self.factor, self.detail = np.ones(values.shape[1]), np.ones(values.shape[1])
+        if lively.any():
+            self.factor = calibration.factor(ratios[lively])
         noisy = np.median(smoothed, axis=0) > calibration.DETAIL * values.var(axis=0)
         if noisy.any():
             told = ratios / np.maximum(self.factor, TINY)

@@ -5,7 +5,8 @@ should have. The network is fitted again without the suspects; points that the n
 closer look then finds wrong points that hide behind the residuals that they cause around them; it is believed where the
 network without them knows the others far better. In the end the two readings are compared by their likelihood: all
 points belong to the surface, or the suspects are drawn from anywhere within twice the range of the values. So a peak,
-which is far off but well explained, stays.
+which is far off but well explained, stays. Wrong points know nothing of each other: where more neighbours of a suspect
+are far off on the same side than chance allows, they are an island, or the edge of a cliff, and none of them is wrong.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy.spatial import KDTree
+from scipy.special import bdtrc
 
 from common.network import evaluation
 from common.network.dense import Dense
@@ -56,6 +58,12 @@ TAIL, TAIL_DEVIATIONS = 0.995, 2.81
 NEIGHBOURS = 12
 """Nearest points that a value of many is compared with."""
 
+COMPANY = 1 / 3
+"""Share of what a value is off that one beside it must be off on the same side to be its company."""
+
+CHANCE = 0.01
+"""Probability that any wrong value of all is taken for company of those around it."""
+
 
 def set_aside(samples: Samples, fit: Fit, refit: Callable[[Samples, bool], Fit]) -> tuple[Fit, IntArray]:
     """The fit without the wrong points, and the rows of those; the given fit and no rows where there are none."""
@@ -68,16 +76,18 @@ def set_aside(samples: Samples, fit: Fit, refit: Callable[[Samples, bool], Fit])
     everywhere = np.arange(n)
     if kept.all() and not _far_off(tree, samples.y, everywhere).any():
         return fit, np.zeros(0, dtype=np.int64)
+    near = np.asarray(tree.query(samples.X, k=min(NEIGHBOURS + 1, n))[1])
+
     kept &= ~_far_off(tree, samples.y, everywhere, APART)
     seen = _look(samples, kept, refit)
     for _ in range(ROUNDS):
         agreed = _kept(*seen)
+        agreed |= _company(seen[0], ~agreed, near)
         # While wrong points are left the network is not to be asked which ones may come back.
         left = kept & agreed
         if np.array_equal(left, kept) or np.count_nonzero(~left) > MOST * n:
             break
         kept, seen = left, _look(samples, left, refit)
-    near = np.asarray(tree.query(samples.X, k=min(NEIGHBOURS + 1, n))[1])
     first, closer, beyond, doubts = kept, kept, seen, 0
     while doubts < PATIENCE:
         left = closer & ~_worst(*beyond, closer, near)
@@ -96,6 +106,12 @@ def set_aside(samples: Samples, fit: Fit, refit: Callable[[Samples, bool], Fit])
         if TELLING * np.median(np.abs(_look(samples, more, refit)[0][more])) < np.median(np.abs(seen[0][kept])):
             agreed[row] = True
     agreed |= _within_tail(*seen, kept)
+    company = _company(seen[0], ~agreed, near)
+    if company.any():
+        # What was far off from the surface without them may be not with them.
+        kept = kept | agreed | company
+        seen = _look(samples, kept, refit)
+        agreed = _kept(*seen) | _within_tail(*seen, kept)
     rows = np.flatnonzero(kept | agreed)
     out = np.setdiff1d(np.arange(n), rows)
     if not len(out):
@@ -122,15 +138,29 @@ def screen(X: FloatArray, y: FloatArray) -> IntArray:
 def _far_off(tree: KDTree, y: FloatArray, asked: IntArray, deviations: float = SUSPECT) -> BoolArray:
     workers = -1 if len(asked) > GLANCE else 1
     rows = np.asarray(tree.query(tree.data[asked], k=min(NEIGHBOURS + 1, len(y)), workers=workers)[1])
-    suspect = np.zeros(len(asked), dtype=bool)
+    found = np.zeros(len(asked), dtype=bool)
     for values in y.T:
         around, column = values[rows[:, 1:]], values[asked]
         middle = np.median(around, axis=1)
         scatter = np.median(np.abs(around - middle[:, None]), axis=1) / 0.6745
         away = np.abs(column - middle)
         typical = np.quantile(away, 0.9) / 1.645
-        suspect |= (away > deviations * np.maximum(scatter, typical)) & (away > HARMLESS * values.std())
-    return suspect
+        suspect = (away > deviations * np.maximum(scatter, typical)) & (away > HARMLESS * values.std())
+        if deviations >= SUSPECT:
+            # What is less far off may have slopes for company.
+            share = float(suspect.mean())
+            suspect[suspect] = ~_together((column - middle)[suspect], (around - middle[:, None])[suspect], share)
+        found |= suspect
+    return found
+
+
+def _together(away: FloatArray, around: FloatArray, share: float) -> BoolArray:
+    """Whether values so far off (m,) are so together with those around them (m, k), the share of such values given.
+
+    A wrong value is on the same side as another, and no less far off, with half their share for a probability at most.
+    """
+    same = np.count_nonzero(around * np.sign(away)[:, None] >= COMPANY * np.abs(away)[:, None], axis=1)
+    return np.asarray(bdtrc(same - 1, around.shape[1], 0.5 * share) * len(away) < CHANCE)
 
 
 def cross_checked(samples: Samples, fit: Callable[[Samples], Partition]) -> IntArray:
@@ -140,7 +170,11 @@ def cross_checked(samples: Samples, fit: Callable[[Samples], Partition]) -> IntA
     residuals = np.empty_like(samples.y)
     for fitted, asked in ((order[:half], order[half:]), (order[half:], order[:half])):
         residuals[asked] = samples.y[asked] - fit(samples.take(np.sort(fitted))).predict(samples.X[asked])
-    return np.flatnonzero(~_kept(residuals, np.ones(len(samples))))
+    suspect = ~_kept(residuals, np.ones(len(samples)))
+    if suspect.any():
+        near = np.asarray(KDTree(samples.X).query(samples.X, k=NEIGHBOURS + 1, workers=-1)[1])
+        suspect &= ~_company(residuals, suspect, near)
+    return np.flatnonzero(suspect)
 
 
 def agreeing(network: Partition, samples: Samples, rows: IntArray) -> BoolArray:
@@ -172,6 +206,16 @@ def _within_tail(residuals: FloatArray, deviations: FloatArray, kept: BoolArray)
     """
     ratios = np.max(np.abs(residuals), axis=1) / deviations
     return np.asarray(ratios <= SUSPECT * np.quantile(ratios[kept], TAIL) / TAIL_DEVIATIONS)
+
+
+def _company(residuals: FloatArray, suspect: BoolArray, near: IntArray) -> BoolArray:
+    """Which suspects' residuals are `_together` with those around them; `near` (n, 1 + m), themselves first."""
+    rows = np.flatnonzero(suspect)
+    column = np.argmax(np.abs(residuals[rows]), axis=1)
+    around = residuals[near[rows, 1:], column[:, None]]
+    found = np.zeros_like(suspect)
+    found[rows] = _together(residuals[rows, column], around, len(rows) / len(suspect))
+    return found
 
 
 def _worst(residuals: FloatArray, deviations: FloatArray, kept: BoolArray, near: IntArray) -> BoolArray:

@@ -179,7 +179,7 @@ class _Search:
         restricted, variance = dense.restricted(samples, coefficients)
         (residuals, spread), (apart, variances) = dense.left_out(coefficients, *self.twins)
         self.rooms.append(room)
-        own = np.mean(apart**2 / variances[:, None])
+        own = max(float(np.mean(apart**2 / variances[:, None])), TINY)
         left_out = 0.5 * samples.y.shape[1] * float(n * np.log(own) + np.log(variances).sum())
         value = float(score(n, np.array(left_out), np.array(dense.smoothing)))
         return value, variance, restricted, Solution(coefficients, bias, residuals, spread), dense.smoothing

@@ -224,7 +224,7 @@ def test_the_band_covers_the_truth(surface: Callable[[FloatArray], FloatArray], 
     assert 0.9 <= np.mean(shares) <= 0.98
 
 
-@pytest.mark.parametrize("seed", [0, 2, 4])
+@pytest.mark.parametrize("seed", range(8))
 def test_points_on_steep_islands_are_not_taken_for_wrong_ones(seed: int) -> None:
     rng = np.random.default_rng(seed)
     X, islands = rng.uniform(-1, 1, (800, 2)), rng.uniform(-1, 1, (12, 2))
@@ -232,6 +232,26 @@ def test_points_on_steep_islands_are_not_taken_for_wrong_ones(seed: int) -> None
     away = np.linalg.norm(X[:, None] - islands, axis=2)
     y = 0.3 * np.sin(3 * X[:, 0]) + (heights / (1 + np.exp((away - radii) / 0.01))).sum(axis=1)
     assert not len(RBFNetwork().fit(X, y).outliers_)
+
+
+@pytest.mark.parametrize("n", [100, 150, 200])
+def test_an_island_in_flat_water_is_terrain_and_a_lone_spike_is_not(n: int) -> None:
+    X = np.random.default_rng(3).uniform(0, 1000, (n, 2))
+    y = np.maximum(0, 50 - 0.3 * np.hypot(*(X - 500).T))
+    assert np.count_nonzero(y) > 7
+    assert not len(RBFNetwork().fit(X, y).outliers_)
+    spike = int(np.argmin(np.hypot(*(X - [150, 400]).T)))
+    y[spike] = 60.0
+    assert RBFNetwork().fit(X, y).outliers_.tolist() == [spike]
+
+
+@pytest.mark.parametrize("n", [3, 10, 60, 251, 1500, 4500])
+def test_a_flat_surface_is_flat_and_known(n: int) -> None:
+    rng = np.random.default_rng(1)
+    network = RBFNetwork().fit(rng.uniform(0, 1000, (n, 2)), np.full(n, 372.4))
+    mean, deviation = network.predict(rng.uniform(0, 1000, (50, 2)), return_std=True)
+    np.testing.assert_allclose(mean, 372.4)
+    np.testing.assert_allclose(deviation, 0.0, atol=1e-6)
 
 
 def test_the_band_widens_where_there_are_no_points() -> None:

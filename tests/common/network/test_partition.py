@@ -4,9 +4,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.interpolate import RBFInterpolator
 
 from common.errors import TrainingError
-from common.network import local
+from common.network import RBFNetwork, local
 from common.network.cover import Cover, frame_for
 from common.network.kernel import Kernel
 from common.network.local import Levels
@@ -131,6 +132,36 @@ def test_noise_is_smoothed() -> None:
     X = scattered(5000)
     noisy = sine(X) + np.random.default_rng(1).normal(0, 0.2, len(X))
     assert rmse(Partition.fit(X, noisy[:, None]), sine, 0.97 * scattered(1000, 1)) < 0.06
+
+
+def test_a_cliff_in_a_smooth_surface_does_not_explode() -> None:
+    def cliff(X: FloatArray) -> FloatArray:
+        return np.asarray(100.0 * (X[:, 0] > 500) + 5 * np.sin(X[:, 0] / 60) * np.cos(X[:, 1] / 50))
+
+    rng = np.random.default_rng(1)
+    X, Q = rng.uniform(0, 1000, (4500, 2)), rng.uniform(0, 1000, (5000, 2))
+    network = RBFNetwork().fit(X, cliff(X))
+    assert not len(network.outliers_)
+    axis = np.linspace(0, 1000, 300)
+    grid = network.predict_grid(axis, axis)
+    assert -55 < grid.min() < -5
+    assert 105 < grid.max() < 155
+    theirs = np.mean((cliff(Q) - RBFInterpolator(X, cliff(X), neighbors=50)(Q)) ** 2)
+    assert np.mean((cliff(Q) - network.predict(Q)) ** 2) < 1.2 * theirs
+
+
+def test_a_lake_is_known_to_be_flat_and_says_nothing_of_the_hills() -> None:
+    def hills(X: FloatArray) -> FloatArray:
+        return np.asarray(np.maximum(372.4, 376 + 8 * np.sin(X[:, 0] / 300) * np.cos(X[:, 1] / 260)))
+
+    rng = np.random.default_rng(0)
+    X, Q = rng.uniform(0, 1000, (12_000, 2)), rng.uniform(0, 1000, (3000, 2))
+    assert 0.2 < np.mean(hills(X) == 372.4) < 0.5
+    mean, deviation = RBFNetwork().fit(X, hills(X)).predict(Q, return_std=True)
+    assert deviation.max() < 1
+    assert np.quantile(deviation, 0.05) < 1e-6
+    shore = deviation > 1e-6
+    assert np.mean(np.abs(mean - hills(Q))[shore] <= 1.96 * deviation[shore] + 1e-9) >= 0.9
 
 
 def test_every_place_of_a_hole_is_covered() -> None:
