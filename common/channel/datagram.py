@@ -13,8 +13,11 @@ import numpy as np
 from common.errors import WireError
 from common.surface import FloatArray
 from common.wire import Packet, PacketDecoder, inner, repack, split
+from common.wire.compact import Effort
+from common.wire.decoder import decode_each
 from common.wire.framing import CODED_EXTENSION, framing_bytes
 from common.wire.inner import Shape
+from common.wire.points import decode_packets
 
 NOT_A_PACKET = 1 << 31
 """Instead of the repeat number of a datagram that is no packet, so that it never shares the draws of a packet."""
@@ -27,11 +30,7 @@ BATCH = 1024
 
 def decode(data: bytes) -> Packet | None:
     """The one packet that `data` is, uncorrected; None where it is none, several or one that cannot be used."""
-    try:
-        packets = PacketDecoder().feed(data) if len(split(data)) == 1 else []
-    except WireError:
-        return None
-    return packets[0] if packets else None
+    return decode_each([data], Effort())[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +79,9 @@ def launch(packets: Sequence[bytes]) -> list[Datagram]:
 
     What tells them apart depends on their contents alone, so that the order of arrival changes nothing.
     """
-    decoded = [packet for start in range(0, len(packets), BATCH) for packet in _decode(packets[start : start + BATCH])]
+    effort = Effort()
+    batches = (packets[start : start + BATCH] for start in range(0, len(packets), BATCH))
+    decoded = [packet for batch in batches for packet in _decode(batch, effort)]
     numbers = [index if packet is None else packet.number for index, packet in enumerate(decoded)]
     repeats = [NOT_A_PACKET if packet is None else 0 for packet in decoded]
     sent: Counter[int] = Counter()
@@ -95,10 +96,12 @@ def intact(flight: Sequence[Datagram]) -> list[Packet | None]:
     """Of each datagram the packet that can still be decoded, with the help of the inner code if it has one, or None."""
     packets = [datagram.sent.packet if datagram.data is datagram.sent.data else None for datagram in flight]
     harmed = [index for index, datagram in enumerate(flight) if datagram.data is not datagram.sent.data]
-    data = [flight[index].data for index in harmed]
     shapes = [_shape(flight[index].sent.data) for index in harmed]
-    for index, packet in zip(harmed, map(decode, _repair(data, shapes)), strict=True):
-        packets[index] = packet
+    repaired = dict(zip(harmed, _repair([flight[index].data for index in harmed], shapes), strict=True))
+    other = [index for index in harmed if repaired[index] != flight[index].sent.data]
+    found = dict(zip(other, decode_each([repaired[index] for index in other], Effort()), strict=True))
+    for index in harmed:
+        packets[index] = found[index] if index in found else flight[index].sent.packet
     return packets
 
 
@@ -113,19 +116,23 @@ def deliver(flight: Sequence[Datagram]) -> list[bytes]:
     return arriving
 
 
-def _decode(packets: Sequence[bytes]) -> list[Packet | None]:
+def _decode(packets: Sequence[bytes], effort: Effort) -> list[Packet | None]:
     """`decode` of each, after correction; at once where all are intact, which spares the headers that they repeat."""
-    decoder, body = PacketDecoder(), b"".join(packets)
+    body = b"".join(packets)
     with suppress(WireError):
-        found = decoder.feed(body)
+        found = PacketDecoder().find(body)
         if len(found) == len(packets) and split(body) == list(packets):
-            return [*found]
-    decoded = [decode(data) for data in packets]
+            return decode_packets(found, effort)
+    decoded = decode_each(packets, effort)
     # The datagrams of a transmission are coded alike: the intact ones tell how to correct the others.
     known = [shape for data, packet in zip(packets, decoded, strict=True) if packet and (shape := _shape(data))]
     alike = {shape.size: shape for shape in known}
     shapes = [None if packet else alike.get(len(data)) for data, packet in zip(packets, decoded, strict=True)]
-    return [packet or decode(data) for packet, data in zip(decoded, _repair(packets, shapes), strict=True)]
+    lost = [index for index, packet in enumerate(decoded) if packet is None]
+    repaired = _repair(packets, shapes)
+    for index, packet in zip(lost, decode_each([repaired[index] for index in lost], effort), strict=True):
+        decoded[index] = packet
+    return decoded
 
 
 def _shape(data: bytes) -> Shape | None:

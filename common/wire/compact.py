@@ -16,14 +16,16 @@ operations finds the same.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
 
-from common.errors import PacketError
+from common.errors import LimitError, PacketError
 from common.surface import BoolArray, IntArray
-from common.wire.header import LATTICES, Header
-from common.wire.limits import MAX_COMPACT_POINTS
+from common.wire.cells import Cells
+from common.wire.header import LATTICES, Grid, Header
+from common.wire.limits import MAX_COMPACT_POINTS, MAX_DECODING_WORK
 from common.wire.rans import Coder, Reader, Tables, Writer, tables
 
 LANES = 256
@@ -31,6 +33,9 @@ LANES = 256
 
 WINDOW = 64
 """Heights before it that a height is predicted from."""
+
+SYMBOLS_A_POINT = 8
+"""What a point takes to decode, in symbols: those of its position and height, and the prediction."""
 
 TYPICAL_BUCKET = 2.4
 """The mean of the coded differences, in units of their scale, for which the table of magnitudes is made."""
@@ -127,6 +132,22 @@ class Batch(NamedTuple):
     """Steps of x and y at which its cell begins."""
 
 
+class Effort:
+    """What the entropy-coded packets of a body may cost.
+
+    Packets are decoded `LANES` at a time, symbol by symbol: each costs as much as the longest beside it.
+    """
+
+    def __init__(self) -> None:
+        self._left = MAX_DECODING_WORK
+
+    def spend(self, packets: int, symbols: int) -> None:
+        """So many packets are about to be read so many symbols further; raises LimitError where that is too much."""
+        self._left -= packets * symbols
+        if self._left < 0:
+            raise LimitError(f"the packets of a body take more than {MAX_DECODING_WORK} symbols to decode")
+
+
 class Messages(NamedTuple):
     """The blocks of all packets, and how many points the fullest holds."""
 
@@ -139,101 +160,115 @@ def write_steps(points: Steps, header: Header, most: int | None = None) -> Messa
 
     With `most`, only of so many packets.
     """
-    layout = _Layout(header)
-    cell = layout.cell(points)
-    owner = layout.cells.owner(*np.divmod(cell, layout.cells.columns), header.total)
+    grid, cells = _grid_of(header)
+    row, column = points.y >> grid.position_bits, points.x >> grid.position_bits
+    cell, owner = row * cells.columns + column, cells.owner(row, column, header.total)
     order = np.lexsort((points.x, points.y, points.z, cell, owner))
     ordered = np.stack(points)[:, order]
-    occupied = np.bincount(cell, minlength=len(layout.cells))
+    occupied = np.bincount(cell, minlength=len(cells))
     ends = np.searchsorted(owner[order], np.arange(header.total + 1))
     blocks: list[bytes] = []
     total = min(most or header.total, header.total)
     for start in range(0, total, LANES):
         stop = min(start + LANES, total)
-        present, indices = _cells(range(start, stop), header)
-        counts = np.where(present, occupied[indices], 0)
-        batch = layout.batch(counts, indices)
+        layout = _Layout(range(start, stop), [header] * (stop - start))
+        counts = np.where(layout.present, occupied[layout.indices], 0)
+        batch = layout.batch(counts)
         part = Steps(*(_filled(batch.active, values) for values in ordered[:, ends[start] : ends[stop]]))
-        blocks += _write(layout, batch, present, counts, part)
+        blocks += _write(layout, batch, counts, part)
     return Messages(blocks, int(np.max(np.diff(ends))))
 
 
-def read_steps(blocks: Sequence[bytes], sequences: Sequence[int], header: Header) -> list[Steps | None]:
-    """The inverse of `write_steps` for the packets of the numbers `sequences`; None for a malformed one."""
+def read_steps(
+    blocks: Sequence[bytes], sequences: Sequence[int], headers: Sequence[Header], effort: Effort
+) -> list[Steps | None]:
+    """The inverse of `write_steps` for packets of the numbers `sequences`, of any headers; None for a malformed one.
+
+    Raises LimitError where that takes more than is left of `effort`.
+    """
     found: list[Steps | None] = []
     for start in range(0, len(blocks), LANES):
-        found += _read(_Layout(header), blocks[start : start + LANES], sequences[start : start + LANES])
+        part = slice(start, start + LANES)
+        found += _read(_Layout(sequences[part], headers[part]), blocks[part], effort)
     return found
 
 
+def _grid_of(header: Header) -> tuple[Grid, Cells]:
+    if header.grid is None or header.grid.cells is None:
+        raise PacketError("a compact form without cells")
+    return header.grid, header.grid.cells
+
+
 class _Layout:
-    """What the header says of where points lie."""
+    """What their headers and numbers say of where the points of packets lie; one value, or one row, a packet.
 
-    def __init__(self, header: Header) -> None:
-        if header.grid is None or header.grid.cells is None:
-            raise PacketError("a compact form without cells")
-        self.header = header
-        self.cells = header.grid.cells
-        self.bits = header.grid.position_bits
-        self.height_bits = header.grid.height_bits
-        self.is_lattice = header.form in LATTICES
+    Attributes
+    ----------
+    present, indices : arrays, shape (packets, most cells)
+        The cells of each packet, ``row * columns + column``, and which entries are cells at all.
+    """
 
-    def cell(self, points: Steps) -> IntArray:
-        """The number of the cell that each point lies in."""
-        return (points.y >> self.bits) * self.cells.columns + (points.x >> self.bits)
+    def __init__(self, sequences: Sequence[int], headers: Sequence[Header]) -> None:
+        grids = [_grid_of(header) for header in headers]
+        self.bits = np.array([grid.position_bits for grid, _ in grids])
+        self.height_bits = np.array([grid.height_bits for grid, _ in grids])
+        self.columns = np.array([cells.columns for _, cells in grids])
+        self.is_lattice = np.array([header.form in LATTICES for header in headers])
+        parts = []
+        for _, run in groupby(range(len(headers)), key=lambda lane: id(headers[lane])):
+            lanes = list(run)
+            cells = grids[lanes[0]][1]
+            parts.append(cells.of_packets([sequences[lane] for lane in lanes], headers[lanes[0]].total))
+        counts = np.concatenate([part for _, part in parts])
+        self.present = np.arange(max(1, int(counts.max())))[None, :] < counts[:, None]
+        self.indices = _filled(self.present, np.concatenate([part for part, _ in parts]))
 
-    def batch(self, counts: IntArray, indices: IntArray) -> Batch:
-        """The points of packets with `counts` points in their cells, the numbers of which are `indices`."""
+    def batch(self, counts: IntArray) -> Batch:
+        """The points of the packets, of which there are `counts` in their cells."""
         sizes = counts.sum(axis=1)
         active = np.arange(max(1, int(sizes.max())))[None, :] < sizes[:, None]
         each = counts.ravel()
         place = np.arange(each.sum()) - np.repeat(np.cumsum(each) - each, each)
-        row, column = np.divmod(np.repeat(indices.ravel(), each), self.cells.columns)
-        corner = _filled(active, column << self.bits), _filled(active, row << self.bits)
+        columns, bits = np.repeat(self.columns, sizes), np.repeat(self.bits, sizes)
+        row, column = np.divmod(np.repeat(self.indices.ravel(), each), columns)
+        corner = _filled(active, column << bits), _filled(active, row << bits)
         return Batch(active, _filled(active, place), corner)
 
 
-def _write(layout: _Layout, batch: Batch, present: BoolArray, counts: IntArray, points: Steps) -> list[bytes]:
+def _write(layout: _Layout, batch: Batch, counts: IntArray, points: Steps) -> list[bytes]:
     u, v = points.x - batch.corner[0], points.y - batch.corner[1]
     magnitudes = _Heights(batch, points.x, points.y, layout.height_bits).magnitudes(points.z)
     first, other = (_scale(magnitudes, batch, chosen) for chosen in (batch.place == 0, batch.place > 0))
     zero = np.zeros(len(counts), dtype=np.int64)
     parameters = Parameters(zero, zero, first, other)
     writer = Writer(len(counts))
-    if not layout.is_lattice:
-        eighths = [values >> layout.bits - _EIGHTH_BITS for values in (u, v)]
-        parameters = Parameters(_best_counts(present, counts), _best_sharpness(batch, eighths), first, other)
-        _code_counts(writer, parameters, present, counts)
-        _code_positions(writer, parameters, batch, layout.bits, u, v)
+    if not layout.is_lattice.all():
+        eighths = [values >> layout.bits[:, None] - _EIGHTH_BITS for values in (u, v)]
+        parameters = Parameters(_best_counts(layout.present, counts), _best_sharpness(batch, eighths), first, other)
+        _code_counts(writer, parameters, layout, counts)
+        _code_positions(writer, parameters, layout, batch, u, v)
     _Heights(batch, points.x, points.y, layout.height_bits).code(writer, parameters, points.z)
     return [a + b for a, b in zip(parameters.to_bytes(), writer.finish(), strict=True)]
 
 
-def _read(layout: _Layout, blocks: Sequence[bytes], sequences: Sequence[int]) -> list[Steps | None]:
+def _read(layout: _Layout, blocks: Sequence[bytes], effort: Effort) -> list[Steps | None]:
     parameters = Parameters.parse(blocks)
     reader = Reader([block[PARAMETER_BYTES:] for block in blocks])
-    present, indices = _cells(sequences, layout.header)
-    counts = present.astype(np.int64)
-    if not layout.is_lattice:
-        counts = _code_counts(reader, parameters, present, np.zeros_like(counts))
+    counts = layout.present.astype(np.int64)
+    if not layout.is_lattice.all():
+        counts = _code_counts(reader, parameters, layout, counts, effort)
     good = counts.sum(axis=1) <= MAX_COMPACT_POINTS
     counts[~good] = 0
-    batch = layout.batch(counts, indices)
+    batch = layout.batch(counts)
+    effort.spend(len(blocks), SYMBOLS_A_POINT * batch.active.shape[1])
     nothing = np.zeros_like(batch.place)
     x, y = batch.corner
-    if not layout.is_lattice:
-        u, v = _code_positions(reader, parameters, batch, layout.bits, nothing, nothing)
+    if not layout.is_lattice.all():
+        u, v = _code_positions(reader, parameters, layout, batch, nothing, nothing)
         x, y = x + u, y + v
     z = _Heights(batch, x, y, layout.height_bits).code(reader, parameters, nothing)
     good &= reader.finished()
     return [Steps(x[i, row], y[i, row], z[i, row]) if good[i] else None for i, row in enumerate(batch.active)]
-
-
-def _cells(sequences: Sequence[int], header: Header) -> tuple[BoolArray, IntArray]:
-    """The cells of each packet, one row a packet, and which entries are cells at all."""
-    cells, counts = _Layout(header).cells.of_packets(sequences, header.total)
-    present = np.arange(max(1, int(counts.max())))[None, :] < counts[:, None]
-    return present, _filled(present, cells)
 
 
 def _filled(where: BoolArray, values: IntArray) -> IntArray:
@@ -242,11 +277,17 @@ def _filled(where: BoolArray, values: IntArray) -> IntArray:
     return out
 
 
-def _code_counts(coder: Coder, parameters: Parameters, present: BoolArray, counts: IntArray) -> IntArray:
-    found = np.zeros_like(counts)
+def _code_counts(
+    coder: Coder, parameters: Parameters, layout: _Layout, counts: IntArray, effort: Effort | None = None
+) -> IntArray:
+    """How many points the cells hold: on a lattice one, else what is coded."""
+    found = np.where(layout.is_lattice[:, None], counts, 0)
+    coded = layout.present & ~layout.is_lattice[:, None]
     for i in range(counts.shape[1]):
-        active = present[:, i]
+        active = coded[:, i]
         while active.any():
+            if effort:
+                effort.spend(len(counts), 1)
             symbol = np.minimum(counts[:, i] - found[:, i], _MORE)
             symbol = coder.symbol(_COUNTS, parameters.counts, symbol, active)
             found[:, i] += symbol
@@ -255,22 +296,21 @@ def _code_counts(coder: Coder, parameters: Parameters, present: BoolArray, count
 
 
 def _code_positions(
-    coder: Coder, parameters: Parameters, batch: Batch, bits: int, u: IntArray, v: IntArray
+    coder: Coder, parameters: Parameters, layout: _Layout, batch: Batch, u: IntArray, v: IntArray
 ) -> tuple[IntArray, IntArray]:
     out = np.zeros_like(u), np.zeros_like(v)
     base = parameters.sharpness * (_EIGHTHS + 1)
     previous = [np.zeros_like(base), np.zeros_like(base)]
-    rest = bits - _EIGHTH_BITS
-    rest_bits = np.full_like(base, 2 * rest)
+    rest = np.where(layout.is_lattice, 0, layout.bits - _EIGHTH_BITS)
+    mask = (1 << rest) - 1
     for j in range(u.shape[1]):
-        active, place = batch.active[:, j], batch.place[:, j]
+        active, place = batch.active[:, j] & ~layout.is_lattice, batch.place[:, j]
         for axis, (values, found) in enumerate(zip((u, v), out, strict=True)):
             # Row 0, of the least sharpness, makes all eighths equally likely.
             table = np.where(place == 0, base, np.where(place == 1, base + 1 + previous[axis], 0))
             previous[axis] = coder.symbol(_POSITIONS, table, values[:, j] >> rest, active)
             found[:, j] = previous[axis] << rest
-        mask = (1 << rest) - 1
-        low = coder.raw(rest_bits, (u[:, j] & mask) << rest | v[:, j] & mask, active)
+        low = coder.raw(2 * rest, (u[:, j] & mask) << rest | v[:, j] & mask, active)
         out[0][:, j] |= low >> rest
         out[1][:, j] |= low & mask
     return out
@@ -279,8 +319,9 @@ def _code_positions(
 class _Heights:
     """Predicts heights one after the other, and codes by how much they differ."""
 
-    def __init__(self, batch: Batch, x: IntArray, y: IntArray, bits: int) -> None:
+    def __init__(self, batch: Batch, x: IntArray, y: IntArray, bits: IntArray) -> None:
         self._batch, self._bits = batch, bits
+        self._top = (1 << bits) - 1
         self._x, self._y = x.astype(np.float64), y.astype(np.float64)
         self._sum = np.zeros(x.shape)
         self._weight = np.zeros(x.shape)
@@ -313,18 +354,17 @@ class _Heights:
         escaped = active & (bucket == _ESCAPE)
         low = coder.raw(scale, magnitude & (np.int64(1) << scale) - 1, active & ~escaped)
         magnitude = bucket << scale | low
-        found = np.clip(guess + np.where(negative, -1 - magnitude, magnitude), 0, (1 << self._bits) - 1)
+        found = np.clip(guess + np.where(negative, -1 - magnitude, magnitude), 0, self._top)
         if escaped.any():
-            found = np.where(escaped, coder.raw(np.full_like(z, self._bits), z, escaped), found)
+            found = np.where(escaped, coder.raw(self._bits, z, escaped), found)
         return np.where(active, found, 0)
 
     def _guess(self, j: int, z: IntArray) -> IntArray:
-        top = (1 << self._bits) - 1
         if not j:
-            return np.full(len(z), 1 << self._bits - 1)
+            return 1 << self._bits - 1
         guess = np.floor(self._sum[:, j] / self._weight[:, j]).astype(np.int64)
         least = np.where(self._batch.place[:, j] > 0, z[:, j - 1], 0)
-        return np.clip(guess, least, top)
+        return np.clip(guess, least, self._top)
 
     def _learn(self, j: int, z: IntArray) -> None:
         later = slice(j + 1, j + 1 + WINDOW)

@@ -9,18 +9,18 @@ from __future__ import annotations
 import re
 import zlib
 from collections.abc import Sequence
-from itertools import groupby
-from typing import NamedTuple
+from contextlib import suppress
 
-from common.errors import LimitError, PacketError
+from common.errors import LimitError, PacketError, WireError
 from common.wire import inner
-from common.wire.framing import CODED_EXTENSION, EXTENSION, MIN_PAYLOAD
+from common.wire.compact import Effort
+from common.wire.framing import CODED_EXTENSION, EXTENSION, MIN_PAYLOAD, split
 from common.wire.gaps import Gaps
 from common.wire.header import Header
 from common.wire.limits import FALSE_START_GRACE, MAX_BODY, MAX_COPIES, MAX_FALSE_STARTS
 from common.wire.numbers import Reader
-from common.wire.packet import CRC_BYTES, NO_POINTS, Packet
-from common.wire.points import check_block, decode_packets
+from common.wire.packet import CRC_BYTES, Packet
+from common.wire.points import Written, check_block, decode_packets
 
 _EXT8 = 0xC7
 _START = re.compile(
@@ -30,11 +30,8 @@ _START = re.compile(
 _LONGEST_START = 4
 
 
-class _Found(NamedTuple):
-    header: Header
-    number: int
-    block: bytes
-    has_points: bool
+AT_ONCE = 4096
+"""Packets decoded at once: bounds what is held besides their points."""
 
 
 class PacketDecoder:
@@ -57,6 +54,7 @@ class PacketDecoder:
         self._corrected = 0
         self._last_length = -1
         self._last: tuple[bytes, bytes, Header] | None = None
+        self._effort = Effort()
 
     @property
     def damaged(self) -> int:
@@ -73,31 +71,35 @@ class PacketDecoder:
 
     def feed(self, data: bytes) -> list[Packet]:
         """Take more bytes; return the packets that they complete."""
+        return self._decode_all(self.find(data))
+
+    def find(self, data: bytes) -> list[Written]:
+        """What `feed` does, but for reading the points."""
         if self._closed:
             raise PacketError("the decoder is closed; a new body takes a new decoder")
         self._fed += len(data)
         if self._fed > MAX_BODY:
             raise LimitError(f"a body of more than {MAX_BODY} bytes")
         self._buffer += data
-        return self._packets()
+        return self._find()
 
     def close(self) -> list[Packet]:
         """Say that no more bytes come; return the packets that could still be found."""
         self._closed = True
-        packets = self._packets()
-        corrected: list[_Found] = []
+        packets = self._decode_all(self._find())
+        corrected: list[Written] = []
         self._gaps.correct(lambda datagram: self._accept(datagram, corrected), guess=not self._longest)
         self._corrected += len(corrected)
         return packets + self._decode_all(corrected)
 
-    def _packets(self) -> list[Packet]:
+    def _find(self) -> list[Written]:
         with memoryview(self._buffer) as view:
             found = self._scan(view)
         del self._buffer[: self._position]
         self._position = 0
-        return self._decode_all(found)
+        return found
 
-    def _accept(self, datagram: bytes, found: list[_Found]) -> bool:
+    def _accept(self, datagram: bytes, found: list[Written]) -> bool:
         """Take a corrected datagram if it passes its checksum."""
         match = _START.match(datagram)
         payload = inner.payload_of(memoryview(datagram)) if match and _is_coded(datagram, match.end()) else None
@@ -106,14 +108,16 @@ class PacketDecoder:
         self._take(bytes(payload), found)
         return True
 
-    def _decode_all(self, found: Sequence[_Found]) -> list[Packet]:
-        packets = []
-        for _, run in groupby(found, key=lambda item: (id(item.header), item.has_points)):
-            packets.extend(self._decode(list(run)))
+    def _decode_all(self, found: Sequence[Written]) -> list[Packet]:
+        packets: list[Packet] = []
+        for start in range(0, len(found), AT_ONCE):
+            decoded = decode_packets(found[start : start + AT_ONCE], self._effort)
+            packets += [packet for packet in decoded if packet is not None]
+            self._malformed += decoded.count(None)
         return packets
 
-    def _scan(self, view: memoryview) -> list[_Found]:
-        found: list[_Found] = []
+    def _scan(self, view: memoryview) -> list[Written]:
+        found: list[Written] = []
         end = len(view)
         while match := _START.search(view, self._position):
             first, start = match.span()
@@ -155,13 +159,13 @@ class PacketDecoder:
             raise LimitError("the body is full of false starts of packets")
         return None
 
-    def _take(self, payload: bytes, found: list[_Found]) -> None:
+    def _take(self, payload: bytes, found: list[Written]) -> None:
         try:
             found.append(self._parse(payload[:-CRC_BYTES]))
         except PacketError:
             self._malformed += 1
 
-    def _parse(self, payload: bytes) -> _Found:
+    def _parse(self, payload: bytes) -> Written:
         lead, number, begin = payload[:2], payload[2], 3
         if number > 0x7F:
             reader = Reader(payload, 2)
@@ -178,21 +182,31 @@ class PacketDecoder:
         period = header.period
         if number >= MAX_COPIES * period:
             raise PacketError(f"a packet has the number {number} of {period} in at most {MAX_COPIES} copies")
-        found = _Found(header, number, payload[start:], number % period < header.total)
+        found = Written(header, number, payload[start:])
         # All that a block is checked for here is its length.
         if found.has_points and len(found.block) != self._last_length:
             check_block(header, found.block)
             self._last_length = len(found.block)
         return found
 
-    def _decode(self, run: Sequence[_Found]) -> list[Packet]:
-        """Packets that share one header object, decoded at once."""
-        header = run[0].header
-        if not run[0].has_points:
-            return [Packet(header, found.number, NO_POINTS, found.block) for found in run]
-        packets = decode_packets(header, [(found.number, found.block) for found in run])
-        self._malformed += len(run) - len(packets)
-        return packets
+
+def decode_each(datagrams: Sequence[bytes], effort: Effort) -> list[Packet | None]:
+    """Of each datagram the packet that it is, uncorrected; None where it is none, several or one that cannot be used.
+
+    Where decoding takes more than is left of `effort`, none can.
+    """
+    found: list[Written] = []
+    owners: list[int] = []
+    for index, datagram in enumerate(datagrams):
+        with suppress(WireError):
+            here = PacketDecoder().find(datagram) if len(split(datagram)) == 1 else []
+            found += here
+            owners += [index] * len(here)
+    packets: list[Packet | None] = [None] * len(datagrams)
+    with suppress(LimitError):
+        for index, packet in zip(owners, decode_packets(found, effort), strict=True):
+            packets[index] = packets[index] or packet
+    return packets
 
 
 def _is_coded(datagram: bytes | memoryview, start: int) -> bool:

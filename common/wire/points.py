@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
@@ -12,10 +13,10 @@ import numpy as np
 from common.errors import PacketError
 from common.surface import FloatArray, IntArray
 from common.wire import compact, lattice
-from common.wire.compact import Steps
+from common.wire.compact import Effort, Steps
 from common.wire.header import COMPACTS, LATTICES, Form, Header
 from common.wire.limits import MAX_COMPACT_POINTS, MAX_POINTS_PER_PACKET
-from common.wire.packet import Packet
+from common.wire.packet import NO_POINTS, Packet
 from common.wire.plain import dequantise, point_bits, quantise, read_points, write_points
 
 
@@ -65,26 +66,56 @@ def check_block(header: Header, block: bytes) -> None:
         raise PacketError(f"the points of a packet are no whole number of {width} bits")
 
 
-def decode_packets(header: Header, numbered: Sequence[tuple[int, bytes]]) -> list[Packet]:
-    """The packets with points of one header, from their numbers and their blocks, all at once.
+class Written(NamedTuple):
+    """A packet whose points, if it carries any, are still to be read; `number` is that of its datagram."""
 
-    Malformed packets are left out, and those with points that are not finite. The blocks must have passed
-    `check_block`.
+    header: Header
+    number: int
+    block: bytes
+
+    @property
+    def sequence(self) -> int:
+        """Which packet it is, whichever copy."""
+        return self.number % self.header.period
+
+    @property
+    def has_points(self) -> bool:
+        """Whether it carries points, not parity."""
+        return self.sequence < self.header.total
+
+
+def decode_packets(written: Sequence[Written], effort: Effort) -> list[Packet | None]:
+    """The packets, all at once; None for a malformed one, and for one with points that are not finite.
+
+    The blocks must have passed `check_block`. Raises LimitError where that takes more than is left of `effort`.
     """
-    if not numbered:
-        return []
-    blocks, sequences = [block for _, block in numbered], [number % header.period for number, _ in numbered]
-    parts = _read(blocks, sequences, header)
-    return [
-        Packet(header, number, points, block)
-        for (number, block), points in zip(numbered, parts, strict=True)
-        if points is not None
-    ]
+    packets: list[Packet | None] = [Packet(each.header, each.number, NO_POINTS, each.block) for each in written]
+    alike: defaultdict[int, list[int]] = defaultdict(list)
+    for index, each in enumerate(written):
+        if each.has_points:
+            alike[id(each.header)].append(index)
+    # Those that are entropy-coded are read together even where each has a header of its own.
+    coded = [i for indices in alike.values() if written[indices[0]].header.form in COMPACTS for i in indices]
+    chosen = [written[i] for i in coded]
+    steps = dict(
+        zip(coded, compact.read_steps(*_columns(chosen), [each.header for each in chosen], effort), strict=True)
+    )
+    for indices in alike.values():
+        header = written[indices[0]].header
+        if header.form in COMPACTS:
+            parts = _located([steps[i] for i in indices], header)
+        else:
+            parts = _read(*_columns([written[i] for i in indices]), header)
+        for i, points in zip(indices, parts, strict=True):
+            packets[i] = None if points is None else Packet(header, written[i].number, points, written[i].block)
+    return packets
+
+
+def _columns(written: Sequence[Written]) -> tuple[list[bytes], list[int]]:
+    return [each.block for each in written], [each.sequence for each in written]
 
 
 def _read(blocks: Sequence[bytes], sequences: Sequence[int], header: Header) -> list[FloatArray | None]:
-    if header.form in COMPACTS:
-        return _located(compact.read_steps(blocks, sequences, header), header)
     if header.form is Form.LATTICE:
         return _located(lattice.read_heights(blocks, sequences, header), header)
     points, sizes = read_points(blocks, header)

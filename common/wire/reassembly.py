@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from common.errors import ConflictError, LimitError, NotReadyError, PacketError
 from common.surface import FeatureSet
+from common.wire.compact import Effort
 from common.wire.erasure import groups, rebuild
 from common.wire.header import Header, transmission_tag
 from common.wire.limits import MAX_POINTS
 from common.wire.packet import Packet
-from common.wire.points import check_block, decode_packets
+from common.wire.points import Written, check_block, decode_packets
 
 Arrival: TypeAlias = Literal["new", "duplicate", "foreign"]
 
@@ -125,16 +127,22 @@ class Reassembly:
         """The packets that could be rebuilt."""
         if self._unsettled and self._header is not None:
             header, count = self._header, groups(self._header.total, self._header.parity)
+            lost: list[Written] = []
             for group in sorted({self._group(sequence, count) for sequence in self._unsettled}):
-                self._rebuild(header, group, count)
+                lost += self._rebuild(header, group, count)
             self._unsettled.clear()
+            # Where it takes too much to read what was rebuilt, it stays missing.
+            with suppress(LimitError):
+                packets = decode_packets(lost, Effort())
+                self._rebuilt |= {packet.sequence: packet for packet in packets if packet is not None}
         return self._rebuilt
 
     def _group(self, sequence: int, count: int) -> int:
         total = self._header.total if self._header else 0
         return (sequence if sequence < total else sequence - total) % count
 
-    def _rebuild(self, header: Header, group: int, count: int) -> None:
+    def _rebuild(self, header: Header, group: int, count: int) -> list[Written]:
+        """The packets of a code word that did not arrive, as far as they could be rebuilt."""
         members = range(group, header.total, count)
         for sequence in members:
             self._rebuilt.pop(sequence, None)
@@ -148,18 +156,18 @@ class Reassembly:
             if header.total + place in self._parity
         }
         if not parities or len(blocks) + len(parities) < len(members):
-            return
+            return []
         original = next(iter(self._parity.values())).header
         try:
             found = rebuild(header.total, header.parity, group, blocks, parities)
-            lost = [(sequence, block) for sequence, block in found.items() if sequence not in self._arrived]
-            for _, block in lost:
-                check_block(original, block)
-            packets = decode_packets(original, lost)
+            lost = [Written(original, sequence, block) for sequence, block in found.items()]
+            lost = [each for each in lost if each.sequence not in self._arrived]
+            for each in lost:
+                check_block(original, each.block)
         except PacketError:
             # What arrived does not fit together. What arrived intact stays usable, the rest stays missing.
-            return
-        self._rebuilt |= {packet.sequence: packet for packet in packets}
+            return []
+        return lost
 
 
 def _rank(packet: Packet) -> tuple[bool, int, bytes]:

@@ -6,16 +6,22 @@ import contextlib
 import tracemalloc
 import zlib
 from collections.abc import Callable
+from itertools import zip_longest
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from common.errors import WireError
-from common.surface import FeatureSet, Region
-from common.wire import PacketDecoder, Reassembly, WireOptions, encode, split
+from common.channel import Channel
+from common.errors import LimitError, WireError
+from common.surface import BoolArray, FeatureSet, IntArray, Region
+from common.wire import PacketDecoder, Reassembly, WireOptions, encode, rans, split
+from common.wire.cells import Cells
 from common.wire.framing import frame
+from common.wire.header import Form, Grid, Header
+from common.wire.numbers import Interval
+from common.wire.packet import write_datagrams
 
 MEGABYTE = 1_000_000
 BUDGET = 50_000_000
@@ -52,6 +58,15 @@ def wrong_total() -> bytes:
         payload += bytes(24)
         datagrams.append(frame([payload + zlib.crc32(payload).to_bytes(4, "big")])[0])
     return b"".join(datagrams)
+
+
+def hollow(form: Form, rows: int, columns: int, count: int) -> list[bytes]:
+    """Entropy-coded packets of 30 bytes, each of another transmission, that hold many cells and say nothing of them."""
+    z = Interval.covering(0.0, 1.0)
+    assert z is not None
+    grid = Grid(0 if form is Form.COMPACT_LATTICE else 7, 16, z, cells=Cells(rows, columns))
+    headers = [Header(tag, 1, FEATURES.region, form, grid=grid) for tag in range(count)]
+    return [write_datagrams(header, [bytes(5)])[0] for header in headers]
 
 
 HOSTILE: dict[str, Callable[[], bytes]] = {
@@ -164,3 +179,101 @@ def test_any_payload_with_a_right_checksum_yields_a_packet_or_our_error(data: st
             Reassembly("t").add(packet)
     except WireError:
         pass
+
+
+@pytest.fixture
+def symbols(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Packets in each step of the entropy decoder."""
+    steps: list[int] = []
+    symbol = rans.Reader.symbol
+
+    def counted(self: rans.Reader, model: rans.Tables, table: IntArray, value: IntArray, active: BoolArray) -> IntArray:
+        steps.append(len(active))
+        return symbol(self, model, table, value, active)
+
+    monkeypatch.setattr(rans.Reader, "symbol", counted)
+    return steps
+
+
+HOLLOW = {"points": (Form.COMPACT_LATTICE, 16, 32), "cells": (Form.COMPACT, 64, 64)}
+
+
+@pytest.mark.parametrize("name", HOLLOW)
+def test_packets_with_a_header_each_are_decoded_together(name: str, symbols: list[int]) -> None:
+    one, *_ = bodies = hollow(*HOLLOW[name], count=100)
+    PacketDecoder().feed(one)
+    alone = len(symbols)
+    symbols.clear()
+    assert len(PacketDecoder().feed(b"".join(bodies))) == 100
+    assert len(symbols) == alone
+
+
+def test_a_channel_decodes_packets_together_where_one_is_damaged(symbols: list[int]) -> None:
+    datagrams = hollow(*HOLLOW["points"], count=100)
+    delivery = Channel.parse("gaussian:std=0.1").transmit([*datagrams, b"noise"], transmission="t")
+    assert delivery.counts == {"gaussian": 100}
+    assert len(symbols) <= 2 * 512
+
+
+@pytest.mark.parametrize("name", HOLLOW)
+@pytest.mark.parametrize("size", [1, 7, 100])
+def test_what_a_body_takes_to_decode_is_bounded_however_it_is_fed(
+    name: str, size: int, monkeypatch: pytest.MonkeyPatch, symbols: list[int]
+) -> None:
+    datagrams = hollow(*HOLLOW[name], count=20)
+
+    def feed(most: int) -> None:
+        monkeypatch.setattr("common.wire.compact.MAX_DECODING_WORK", most)
+        decoder = PacketDecoder()
+        for start in range(0, 20, size):
+            decoder.feed(b"".join(datagrams[start : start + size]))
+
+    # 512 points of eight symbols; or 4,096 cells, and no more than the look at their points.
+    work = 20 * (4096 if name == "points" else 4096 + 8)
+    feed(work)
+    symbols.clear()
+    with pytest.raises(LimitError, match="symbols to decode"):
+        feed(work - 1)
+    assert sum(symbols) < work
+
+
+def test_what_a_channel_cannot_decode_within_bounds_is_no_packet(monkeypatch: pytest.MonkeyPatch) -> None:
+    datagrams = hollow(*HOLLOW["points"], count=20)
+    monkeypatch.setattr("common.wire.compact.MAX_DECODING_WORK", 20 * 4096 - 1)
+    delivery = Channel.parse("gaussian:std=0.1").transmit(datagrams, transmission="t")
+    assert delivery.packets == tuple(datagrams)
+
+
+def test_what_parity_rebuilds_is_decoded_together(symbols: list[int]) -> None:
+    """Every code word loses a packet."""
+    features = FeatureSet(np.random.default_rng(3).uniform(-1, 1, (3000, 3)), FEATURES.region)
+    datagrams = encode(features, transmission="t", options=WireOptions(coding="compact", datagram=96, parity=2.0))
+    reassembly = Reassembly("t")
+    packets = PacketDecoder().feed(b"".join(datagrams))
+    total = packets[0].total
+    for packet in packets[3:]:
+        reassembly.add(packet)
+    symbols.clear()
+    assert reassembly.complete
+    assert reassembly.rebuilt == 3
+    assert set(symbols) == {3}
+    assert len(packets) > 2 * 256 > total
+
+
+def test_packets_of_several_compact_forms_in_a_body_are_told_apart() -> None:
+    lattice = np.stack([axis.ravel() for axis in np.meshgrid(*[np.linspace(-1, 1, 20)] * 2)], axis=1)
+    sets = [
+        FeatureSet(np.column_stack([lattice, np.sign(lattice[:, 0])]), FEATURES.region, kind="lattice"),
+        FEATURES,
+        FeatureSet(10 * FEATURES.points, Region(-10.0, 10.0, -10.0, 10.0)),
+    ]
+    options = [
+        WireOptions(coding="compact", datagram=size, precision=bits) for size, bits in ((256, 16), (80, 16), (80, 9))
+    ]
+    each = [encode(features, transmission="t", options=how) for features, how in zip(sets, options, strict=True)]
+    mixed = [datagram for row in zip_longest(*each) for datagram in row if datagram]
+    found = PacketDecoder().feed(b"".join(mixed))
+    assert {packet.header.form for packet in found} == {Form.COMPACT_LATTICE, Form.COMPACT}
+    expected = {datagram: PacketDecoder().feed(datagram)[0].points for datagram in mixed}
+    for datagram, packet in zip(mixed, found, strict=True):
+        assert np.array_equal(packet.points, expected[datagram])
