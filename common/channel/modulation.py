@@ -9,6 +9,7 @@ Source: Proakis and Salehi, "Digital Communications", 5th edition, sections 4.3 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -18,6 +19,9 @@ ComplexArray: TypeAlias = npt.NDArray[np.complex64]
 Bits: TypeAlias = npt.NDArray[np.uint8]
 
 Modulation: TypeAlias = Literal["bpsk", "qpsk"]
+BLOCK = 2**16
+"""Bytes worked on at once, about the longest packet: bounds the memory, as each bit of them takes a few numbers."""
+
 BITS_PER_SYMBOL: dict[Modulation, int] = {"bpsk": 1, "qpsk": 2}
 
 
@@ -41,17 +45,41 @@ def complex_normal(rng: np.random.Generator, count: int, variance: float) -> Com
     return values * np.float32(math.sqrt(variance / 2))
 
 
+def blocks_of(data: bytes) -> list[bytes]:
+    """`data` in pieces of `BLOCK` bytes."""
+    return [data[start : start + BLOCK] for start in range(0, len(data), BLOCK)]
+
+
+def block_fading(
+    modulation: Modulation, data: bytes, coherence: int, rng: np.random.Generator
+) -> Iterator[ComplexArray]:
+    """The gain of each symbol, afresh after every `coherence` symbols, for each of the blocks of `data`."""
+    drawn, start = np.empty(0, dtype=np.complex64), 0
+    for block in blocks_of(data):
+        symbols = np.arange(start, start + symbol_count(modulation, block))
+        # The last gain may reach into the next block.
+        first, known = start // coherence, -(-start // coherence)
+        fresh = complex_normal(rng, int(symbols[-1]) // coherence + 1 - known, variance=1.0)
+        drawn = np.concatenate([drawn[len(drawn) - (known - first) :], fresh])
+        yield drawn[symbols // coherence - first]
+        start += len(symbols)
+
+
 def transmit(
-    modulation: Modulation, data: bytes, gains: ComplexArray, ebn0_db: float, rng: np.random.Generator
+    modulation: Modulation, data: bytes, gains: Iterable[ComplexArray], ebn0_db: float, rng: np.random.Generator
 ) -> tuple[bytes, int]:
     """`data` as it is received over r = gain * s + n, and the number of wrong bits.
 
-    `gains` has one value a symbol, or one for all, with a mean squared magnitude of 1, so that `ebn0_db` is the mean
-    ratio of the energy of a bit to the noise density N0; the noise has the variance N0 / 2 in each of its components.
+    `gains` has, for each of the blocks of `data`, one value a symbol, or one for all, with a mean squared magnitude of
+    1, so that `ebn0_db` is the mean ratio of the energy of a bit to the noise density N0; the noise has the variance
+    N0 / 2 in each of its components.
     """
-    symbols = symbols_of(modulation, data)
-    noise = complex_normal(rng, len(symbols), variance=10 ** (-ebn0_db / 10))
-    harmed = np.packbits(detect(modulation, gains * symbols + noise, gains)).tobytes()
+    received = []
+    for block, gain in zip(blocks_of(data), gains, strict=False):
+        symbols = symbols_of(modulation, block)
+        noise = complex_normal(rng, len(symbols), variance=10 ** (-ebn0_db / 10))
+        received.append(np.packbits(detect(modulation, gain * symbols + noise, gain)).tobytes())
+    harmed = b"".join(received)
     return (data, 0) if harmed == data else (harmed, count_differing_bits(data, harmed))
 
 

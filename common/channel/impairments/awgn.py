@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import repeat
 from typing import Literal
 
 import numpy as np
@@ -27,8 +28,8 @@ class Awgn(Impairment):
 
     def harm(self, datagram: Datagram, passage: Passage) -> Iterable[Datagram]:
         """The datagram as it was detected."""
-        gain = np.ones(1, dtype=np.complex64)
-        data, wrong = transmit(self.modulation, datagram.data, gain, self.ebn0_db, passage.rng(datagram))
+        gains = repeat(np.ones(1, dtype=np.complex64))
+        data, wrong = transmit(self.modulation, datagram.data, gains, self.ebn0_db, passage.rng(datagram))
         if not wrong:
             return [datagram]
         passage.note(datagram, wrong, "bits")

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from common.channel.datagram import Datagram
 from common.channel.impairment import Impairment, Probability
+from common.channel.modulation import blocks_of, count_differing_bits
 from common.channel.passage import Passage
 
 
@@ -24,10 +25,14 @@ class BitErrors(Impairment):
 
     def harm(self, datagram: Datagram, passage: Passage) -> Iterable[Datagram]:
         """The datagram with some of its bits flipped."""
-        flips = passage.rng(datagram).random(8 * len(datagram.data)) < self.ber
-        count = int(np.count_nonzero(flips))
+        rng = passage.rng(datagram)
+        flipped = b"".join(self._flipped(block, rng) for block in blocks_of(datagram.data))
+        count = count_differing_bits(datagram.data, flipped)
         if not count:
             return [datagram]
         passage.note(datagram, count, "bits")
-        flipped = np.frombuffer(datagram.data, dtype=np.uint8) ^ np.packbits(flips)
-        return [datagram.damaged(flipped.tobytes())]
+        return [datagram.damaged(flipped)]
+
+    def _flipped(self, block: bytes, rng: np.random.Generator) -> bytes:
+        flips = rng.random(8 * len(block)) < self.ber
+        return (np.frombuffer(block, dtype=np.uint8) ^ np.packbits(flips)).tobytes()

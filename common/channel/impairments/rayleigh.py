@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import repeat
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import Field
 
 from common.channel.datagram import Datagram
 from common.channel.impairment import Impairment
-from common.channel.modulation import Modulation, complex_normal, symbol_count, transmit
+from common.channel.modulation import ComplexArray, Modulation, block_fading, complex_normal, transmit
 from common.channel.passage import Passage
 
 
@@ -34,12 +34,14 @@ class Rayleigh(Impairment):
     def harm(self, datagram: Datagram, passage: Passage) -> Iterable[Datagram]:
         """The datagram as it was detected."""
         rng = passage.rng(datagram)
+        gains: Iterable[ComplexArray]
         if self.coherence == "packet":
-            gains = complex_normal(rng, 1, variance=1.0)
+            gains = repeat(complex_normal(rng, 1, variance=1.0))
         else:
-            count = symbol_count(self.modulation, datagram.data)
-            blocks = complex_normal(rng, -(-count // self.coherence), variance=1.0)
-            gains = np.repeat(blocks, min(self.coherence, count))[:count]
+            gains = block_fading(self.modulation, datagram.data, self.coherence, passage.rng(datagram))
+            # The noise is drawn behind all gains.
+            for _ in block_fading(self.modulation, datagram.data, self.coherence, rng):
+                pass
         data, wrong = transmit(self.modulation, datagram.data, gains, self.ebn0_db, rng)
         if not wrong:
             return [datagram]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -45,6 +47,38 @@ def test_channels_in_a_row_each_harm_packets(few_packets: list[bytes]) -> None:
     once = carry(Channel.parse("bit_errors:ber=1e-3;truncation:p=0.1"), body, transmission="hills").body
     twice = carry(Channel.parse("erasure:p=0.5"), once, transmission="hills")
     assert 0.3 < len(twice.body) / len(once) < 0.7
+
+
+SYMBOL_BY_SYMBOL = [
+    "bit_errors:ber=1e-3",
+    "awgn:ebn0_db=4",
+    "awgn:ebn0_db=4,modulation=qpsk",
+    "rayleigh:ebn0_db=10",
+    "rayleigh:ebn0_db=10,coherence=1",
+    "rayleigh:ebn0_db=10,coherence=600,modulation=qpsk",
+]
+
+
+@pytest.mark.parametrize("spec", SYMBOL_BY_SYMBOL)
+def test_a_body_that_is_no_run_of_packets_takes_little_memory(spec: str) -> None:
+    body = bytes(1_000_000)
+    tracemalloc.start()
+    try:
+        harmed = carry(Channel.parse(spec), body, transmission="t").body
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert len(harmed) == len(body)
+    assert harmed != body
+    assert peak < 40_000_000
+
+
+@pytest.mark.parametrize("spec", [*SYMBOL_BY_SYMBOL, "rayleigh:ebn0_db=10,coherence=10000000000"])
+def test_in_how_large_blocks_symbols_are_drawn_makes_no_difference(spec: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    datagrams = [bytes(size) for size in (0, 1, 63, 64, 65, 1000)]
+    whole = Channel.parse(spec, seed=3).transmit(datagrams, transmission="t")
+    monkeypatch.setattr("common.channel.modulation.BLOCK", 64)
+    assert Channel.parse(spec, seed=3).transmit(datagrams, transmission="t") == whole
 
 
 def test_the_path_names_the_transmission() -> None:
