@@ -73,10 +73,12 @@ def write_blocks(features: FeatureSet, transmission: str, options: WireOptions) 
     if len(features) > MAX_POINTS:
         raise LimitError(f"{len(features)} points; a transmission carries at most {MAX_POINTS}")
     ordered = features.points[_along_curve(features)]
-    for forms in _forms(features, options):
-        plans = [_Plan(features, transmission, options, form, grid).fit(ordered) for form, grid in forms]
-        if found := [plan for plan in plans if plan is not None]:
-            return min(found, key=_size)
+    # The search may step over the most packets there can be: they are tried where it finds nothing.
+    for find in (_Plan.fit, _Plan.fit_most):
+        for forms in _forms(features, options):
+            plans = [find(_Plan(features, transmission, options, form, grid), ordered) for form, grid in forms]
+            if found := [plan for plan in plans if plan is not None]:
+                return min(found, key=_size)
     raise LimitError(
         f"{len(features)} points take more than {MAX_PACKETS} packets of {options.datagram} bytes; "
         "choose longer datagrams"
@@ -102,6 +104,7 @@ class _Plan:
         self, features: FeatureSet, transmission: str, options: WireOptions, form: Form, grid: Grid | None
     ) -> None:
         self._options, self._count = options, len(features)
+        self._most = min(MAX_PACKETS, self._count)
         self._header = Header(
             transmission_tag(transmission), 1, features.region, form, features.gap, features.kind, features.units,
             grid=grid,
@@ -119,18 +122,28 @@ class _Plan:
         """
         total = self._first_total()
         for _ in range(MAX_ROUNDS):
-            if total > min(MAX_PACKETS, self._count):
+            if total > self._most:
                 return None
-            header, room = self._with(total)
-            most_bytes, share = load(points, header)
-            excess = max(most_bytes / room, share)
-            if excess <= 1:
-                blocks = write(points, header)
-                excess = max(map(len, blocks)) / room
-                if excess <= 1:
-                    return header, blocks
+            plan, excess = self._try(points, total)
+            if plan is not None:
+                return plan
             total = max(total + 1, math.ceil(total * excess))
         return None
+
+    def fit_most(self, points: FloatArray) -> tuple[Header, list[bytes]] | None:
+        """What `fit` returns and raises, with the most packets there can be: one for each point, or `MAX_PACKETS`."""
+        return self._try(points, self._most)[0]
+
+    def _try(self, points: FloatArray, total: int) -> tuple[tuple[Header, list[bytes]] | None, float]:
+        """The header and the blocks, or None where they are too long; and how long the longest is over what fits."""
+        header, room = self._with(total)
+        most_bytes, share = load(points, header)
+        excess = max(most_bytes / room, share)
+        if excess > 1:
+            return None, excess
+        blocks = write(points, header)
+        excess = max(map(len, blocks)) / room
+        return ((header, blocks) if excess <= 1 else None), excess
 
     def _with(self, total: int) -> tuple[Header, int]:
         """The header of so many packets, and the bytes that it leaves for the points of each."""

@@ -65,6 +65,32 @@ def test_a_datagram_too_short_for_a_point_says_what_it_takes() -> None:
     assert encode(features, transmission="t", options=WireOptions(precision="float64", datagram=74))
 
 
+@pytest.mark.parametrize(
+    "options",
+    [
+        WireOptions(datagram=64, precision="float64"),
+        WireOptions(datagram=64, precision="float64", parity=0.1),
+        WireOptions(datagram=64, precision=32, position_bits=32, inner=16),
+    ],
+    ids=str,
+)
+def test_where_one_point_fits_a_datagram_any_number_of_them_is_sent(options: WireOptions) -> None:
+    for n in range(1, 130, 4):
+        datagrams = encode(some(n), transmission="t", options=options)
+        assert max(map(len, datagrams)) <= 64
+        packets = PacketDecoder().feed(b"".join(datagrams))
+        assert sum(len(packet.points) for packet in packets) == n
+
+
+def test_a_point_far_out_is_sent_in_short_datagrams() -> None:
+    for n in range(3, 103, 5):
+        points = some(n).points.copy()
+        points[0, 0] = 50.0
+        datagrams = encode(FeatureSet(points, SQUARE), transmission="t", options=WireOptions(datagram=64))
+        packets = PacketDecoder().feed(b"".join(datagrams))
+        assert sorted(map(tuple, np.concatenate([packet.points for packet in packets]))) == sorted(map(tuple, points))
+
+
 def test_a_packet_with_too_many_points_cannot_be_made() -> None:
     (packet,) = PacketDecoder().feed(encode(some(5), transmission="t")[0])
     with pytest.raises(PacketError):
