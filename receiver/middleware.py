@@ -11,7 +11,15 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from common.channel import Channel
-from common.channel.carrying import ATTEMPT_HEADER, FAULTS_HEADER, attempt_of, carry, faults_header, transmission_of
+from common.channel.carrying import (
+    ATTEMPT_HEADER,
+    FAULTS_HEADER,
+    References,
+    attempt_of,
+    carry,
+    faults_header,
+    transmission_of,
+)
 from common.errors import LimitError, SurfacelinkError
 from common.problems import problem_of
 from receiver.problems import respond
@@ -29,7 +37,8 @@ class ChannelMiddleware:
     """Pure ASGI: sends the body of each ``POST /v1/transmissions/{id}`` through the channel in force.
 
     The channel in force is ``app.state.channel`` of the application it is mounted in; who replaces it there changes
-    it for every request that starts later, and for none that is under way. Nothing of a request is kept here.
+    it for every request that starts later, and for none that is under way. Nothing of a request is kept here but what
+    relative strengths of later attempts refer to.
 
     The answer carries the header ``Surfacelink-Faults``. An error of ours is answered here as problem+json, because
     middleware stands outside the exception handlers of the application.
@@ -48,6 +57,7 @@ class ChannelMiddleware:
         self.app = app
         self.max_body_bytes = max_body_bytes
         self.sleep = sleep
+        self._references = References()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one connection."""
@@ -67,7 +77,8 @@ class ChannelMiddleware:
             return
         # A large transmission takes seconds; the event loop has other connections to serve meanwhile.
         delivery = await to_thread.run_sync(
-            lambda: carry(channel, body, transmission=transmission, attempt=attempt), abandon_on_cancel=True
+            lambda: carry(channel, body, transmission=transmission, attempt=attempt, references=self._references),
+            abandon_on_cancel=True,
         )
         if not await self._wait(delivery.seconds, receive):
             return

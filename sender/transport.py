@@ -10,7 +10,15 @@ import httpx
 from anyio import to_thread
 
 from common.channel import Channel
-from common.channel.carrying import ATTEMPT_HEADER, FAULTS_HEADER, attempt_of, carry, faults_header, transmission_of
+from common.channel.carrying import (
+    ATTEMPT_HEADER,
+    FAULTS_HEADER,
+    References,
+    attempt_of,
+    carry,
+    faults_header,
+    transmission_of,
+)
 
 Sleep: TypeAlias = Callable[[float], Awaitable[None]]
 
@@ -35,6 +43,7 @@ class ChannelTransport(httpx.AsyncBaseTransport):
         self.transport = transport
         self.channel = channel
         self.sleep = sleep
+        self._references = References()
 
     async def handle_async_request(self, request: httpx.Request) -> httpx.Response:
         """Send one request."""
@@ -45,7 +54,8 @@ class ChannelTransport(httpx.AsyncBaseTransport):
         attempt = attempt_of(request.headers.get(ATTEMPT_HEADER))
         body = await request.aread()
         delivery = await to_thread.run_sync(
-            lambda: carry(channel, body, transmission=transmission, attempt=attempt), abandon_on_cancel=True
+            lambda: carry(channel, body, transmission=transmission, attempt=attempt, references=self._references),
+            abandon_on_cancel=True,
         )
         if delivery.seconds:
             await self.sleep(delivery.seconds)

@@ -82,8 +82,10 @@ def direct(
     reassembly = Reassembly(transmission)
     sent = sent_bytes = damaged = 0
     outgoing = packets
+    reference = None
     for attempt in range(rounds):
-        delivery = channel.transmit(outgoing, transmission=transmission, attempt=attempt)
+        delivery = channel.transmit(outgoing, transmission=transmission, attempt=attempt, reference=reference)
+        reference = delivery.reference
         sent, sent_bytes = sent + len(outgoing), sent_bytes + sum(map(len, outgoing))
         decoder = PacketDecoder()
         for packet in [*decoder.feed(b"".join(delivery.packets)), *decoder.close()]:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 from itertools import pairwise
+from threading import Lock
 
 from common.channel.channel import Channel, Delivery
+from common.channel.passage import Reference
 from common.errors import ParameterError, WireError
 from common.wire import split
 from common.wire.framing import CODED_EXTENSION, EXTENSION, MIN_PAYLOAD
@@ -16,6 +18,9 @@ FAULTS_HEADER = "Surfacelink-Faults"
 """Header of a harmed request and of its answer: how many datagrams each impairment touched,
 such as ``erasure=2, gaussian=10``, or ``none``."""
 MAX_ATTEMPT = 2**31 - 1
+
+MAX_REFERENCES = 256
+"""Transmissions remembered; their attempts follow each other closely, and few are under way at once."""
 
 PACKET_START = re.compile(
     b"(?:\xc7(?P<short>[%c-\xff])|\xc8(?P<long>..))[%c%c]" % (MIN_PAYLOAD, EXTENSION, CODED_EXTENSION), re.DOTALL
@@ -65,9 +70,43 @@ def _cut(body: bytes) -> list[bytes]:
     return [body[a:b] for a, b in pairwise([*cuts, len(body)]) if a < b]
 
 
-def carry(channel: Channel, body: bytes, *, transmission: str, attempt: int = 0) -> Delivery:
-    """Send the datagrams of a body through the channel."""
-    return channel.transmit(datagrams_of(body), transmission=transmission, attempt=attempt)
+class References:
+    """What relative strengths refer to in each of the last transmissions: what was in the body sent first.
+
+    May be used by several threads.
+    """
+
+    def __init__(self) -> None:
+        self._kept: dict[str, Reference] = {}
+        self._lock = Lock()
+
+    def find(self, transmission: str, attempt: int) -> Reference | None:
+        """That of a transmission that is sent again; None for one sent first, or not known any more."""
+        with self._lock:
+            return self._kept.get(transmission) if attempt else None
+
+    def keep(self, transmission: str, delivery: Delivery) -> None:
+        """Remember what `delivery` referred to, if it did."""
+        with self._lock:
+            self._kept.pop(transmission, None)
+            if delivery.reference is not None:
+                self._kept[transmission] = delivery.reference
+            if len(self._kept) > MAX_REFERENCES:
+                del self._kept[next(iter(self._kept))]
+
+
+def carry(
+    channel: Channel, body: bytes, *, transmission: str, attempt: int = 0, references: References | None = None
+) -> Delivery:
+    """Send the datagrams of a body through the channel; relative strengths refer to what `references` knows, if given.
+
+    A later attempt then meets noise as strong as the first did, though it carries fewer points.
+    """
+    known = references.find(transmission, attempt) if references else None
+    delivery = channel.transmit(datagrams_of(body), transmission=transmission, attempt=attempt, reference=known)
+    if references:
+        references.keep(transmission, delivery)
+    return delivery
 
 
 def faults_header(delivery: Delivery) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache, partial
 from typing import Annotated, Any, Self, Union
 
 from pydantic import Field, TypeAdapter
@@ -36,6 +35,8 @@ class Delivery:
     """What was done to which packet, by packet and then in the order it happened."""
     times: tuple[float, ...]
     """Seconds of virtual time at which each datagram arrived, ascending; the first is sent at 0."""
+    reference: Reference | None = field(default=None, compare=False)
+    """What relative strengths referred to; None where no impairment has one. Hand it on to later calls."""
 
     @property
     def body(self) -> bytes:
@@ -58,7 +59,8 @@ class Channel:
     """A link that harms what is sent through it, in exactly the way and measure that is written down.
 
     Impairments act in the order given. A channel holds no state: the same packets, transmission and attempt meet the
-    same harm, whatever the order or the company they are sent in.
+    same harm, whatever the order they are sent in. The company they are sent in matters to the queue of `rate`, the
+    places of `reordering`, and to relative strengths and signal-to-noise ratios unless a `Reference` is given.
 
     Parameters
     ----------
@@ -150,10 +152,16 @@ class Channel:
             0 for the first sending, another number for each later one: packets sent again meet fresh luck.
         reference : Reference, optional
             What relative strengths refer to. Without it, the points in `packets`; give it where a transmission is
-            sent in several parts that should be treated alike.
+            sent in several parts, or sent again in part: the `Delivery` of the first call has it.
         """
         flight = launch(packets)
-        scale = cache(partial(Reference.of, tuple(flight))) if reference is None else lambda: reference
+        launched, known = tuple(flight), [] if reference is None else [reference]
+
+        def scale() -> Reference:
+            if not known:
+                known.append(Reference.of(launched))
+            return known[0]
+
         log: list[Fault] = []
         for position, impairment in enumerate(self.impairments):
             draws = Draws.of(self.seed, transmission, attempt, position)
@@ -163,4 +171,5 @@ class Channel:
             packets=tuple(deliver(flight)),
             faults=tuple(sorted(log, key=lambda fault: (fault.packet, fault.copy))),
             times=tuple(datagram.at for datagram in flight),
+            reference=known[0] if known else None,
         )

@@ -62,7 +62,7 @@ class PointImpairment(Impairment):
     - ``snr_db``: such that the mean square of what is added is var / 10^(snr_db / 10), where var is the variance of
       that axis with the mean removed (heights have a datum; it is not signal).
 
-    Range and variance are those of the points in the call, as they were sent (see `Reference`).
+    Range and variance are those of the points in the call, as they were sent, or of a `Reference` that is given.
     """
 
     axes: Axes = Field("z", description="the coordinates it acts on, each by itself")

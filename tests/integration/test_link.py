@@ -14,7 +14,7 @@ import pytest
 from common.channel import Channel
 from common.errors import NotFoundError, RefusedError, TrainingError
 from common.metrics import nrmse
-from common.surface import FeatureSet
+from common.surface import FeatureSet, FloatArray
 from common.wire import WireOptions, encode
 from receiver.app import create_app
 from receiver.settings import Settings
@@ -22,6 +22,7 @@ from sender.client import ReceiverClient
 from sender.features import extract_features
 from sender.surfaces import SURFACES
 from simulator.link import Link, Outcome
+from simulator.trial import direct
 
 SHAPE = (41, 41)
 NOISE = Channel.parse("gaussian:std=0.05,axes=xyz;erasure:p=0.2", seed=1)
@@ -101,6 +102,26 @@ def test_what_is_lost_is_sent_again_until_it_is_there(tmp_path: Path) -> None:
     assert many.sent.retransmitted > 0
     clean = sent(tmp_path / "clean", options=SMALL)
     np.testing.assert_array_equal(many.grid.z, clean.grid.z)
+
+
+def test_what_is_sent_again_meets_noise_as_strong_as_what_was_sent_first(tmp_path: Path) -> None:
+    """Relative noise is that of the same strength in data units, over HTTP and without."""
+    options = WireOptions(datagram=80, precision="float64")
+    features = features_of("surface-1")
+
+    def directly(noise: str) -> FloatArray:
+        channel = Channel.parse(f"gaussian:{noise};erasure:p=0.5", seed=1)
+        arrived = direct(features, transmission="a", channel=channel, options=options, rounds=30, shape=SHAPE).features
+        assert arrived is not None
+        return arrived.points
+
+    points = directly("relative=0.1")
+    assert len(points) == 50
+    np.testing.assert_allclose(points, directly(f"std={0.1 * np.ptp(features.z)}"), rtol=1e-12)
+    channel = Channel.parse("gaussian:relative=0.1;erasure:p=0.5", seed=1)
+    over_http = sent(tmp_path, channel=channel, options=options, rounds=30)
+    assert over_http.sent.retransmitted > 0
+    np.testing.assert_array_equal(over_http.features, points)
 
 
 def test_parity_rebuilds_what_is_lost_and_keeps_it_over_a_restart(tmp_path: Path) -> None:

@@ -97,6 +97,18 @@ async def test_each_attempt_meets_other_harm_and_the_same_attempt_the_same(packe
 
 
 @pytest.mark.anyio
+async def test_relative_noise_on_a_later_attempt_refers_to_the_first(packets: list[bytes]) -> None:
+    channel = Channel.parse("gaussian:relative=0.1", seed=4)
+    whole = channel.transmit(packets, transmission="hills").reference
+    app = create("gaussian:relative=0.1")
+    await post(app, b"".join(packets))
+    later = await post(app, packets[0], surfacelink_attempt="1")
+    expected = channel.transmit(packets[:1], transmission="hills", attempt=1, reference=whole)
+    assert later.content == expected.body
+    assert later.content != channel.transmit(packets[:1], transmission="hills", attempt=1).body
+
+
+@pytest.mark.anyio
 async def test_everything_else_passes_untouched(packets: list[bytes]) -> None:
     app, body = create("erasure:p=1"), b"".join(packets)
     for path in ("/v1/transmissions", "/v1/transmissions/a/b", "/v1/surfaces/hills", "/"):

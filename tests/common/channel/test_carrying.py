@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.channel import Channel
-from common.channel.carrying import attempt_of, carry, datagrams_of, faults_header, transmission_of
+from common.channel import Channel, Delivery
+from common.channel.carrying import References, attempt_of, carry, datagrams_of, faults_header, transmission_of
 from common.errors import ParameterError
 from common.surface import FeatureSet, FloatArray, Region
 from common.wire import WireOptions, encode
@@ -47,6 +47,31 @@ def test_channels_in_a_row_each_harm_packets(few_packets: list[bytes]) -> None:
     once = carry(Channel.parse("bit_errors:ber=1e-3;truncation:p=0.1"), body, transmission="hills").body
     twice = carry(Channel.parse("erasure:p=0.5"), once, transmission="hills")
     assert 0.3 < len(twice.body) / len(once) < 0.7
+
+
+def test_what_is_sent_again_refers_to_what_was_sent_first(
+    few_packets: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    channel, references = Channel.parse("gaussian:relative=0.1"), References()
+    body, part = b"".join(few_packets), few_packets[0]
+
+    def send(body: bytes, attempt: int, transmission: str = "hills") -> Delivery:
+        return carry(channel, body, transmission=transmission, attempt=attempt, references=references)
+
+    first = send(body, 0)
+    assert first == carry(channel, body, transmission="hills")
+    for attempt in (1, 2):
+        later = send(part, attempt)
+        assert later == channel.transmit([part], transmission="hills", attempt=attempt, reference=first.reference)
+        assert later != carry(channel, part, transmission="hills", attempt=attempt)
+    assert send(part, 1, "dales") == carry(channel, part, transmission="dales", attempt=1)
+    assert send(part, 0) == carry(channel, part, transmission="hills")
+    monkeypatch.setattr("common.channel.carrying.MAX_REFERENCES", 2)
+    send(body, 0)
+    for other in ("a", "b"):
+        send(body, 0, other)
+        send(body, 0, other)
+    assert send(part, 1) == carry(channel, part, transmission="hills", attempt=1)
 
 
 SYMBOL_BY_SYMBOL = [

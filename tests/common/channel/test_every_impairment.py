@@ -128,6 +128,37 @@ def test_any_number_of_workers_does_the_same_harm(model: type[Impairment], few_p
             assert faults == list(expected.faults)
 
 
+RELATIVE = [{"relative": 0.1}, {"snr_db": 10.0}]
+POINT_NOISE = [model for model in HARMFUL if issubclass(model, PointImpairment)]
+
+
+@pytest.mark.parametrize("model", POINT_NOISE)
+def test_noise_in_data_units_is_the_same_in_any_company(model: type[PointImpairment], few_packets: list[bytes]) -> None:
+    impairment = build(model)
+    alone = [send(impairment, [packet]).packets[0] for packet in few_packets]
+    assert tuple(alone) == send(impairment, few_packets).packets
+
+
+@pytest.mark.parametrize("strength", RELATIVE, ids=str)
+@pytest.mark.parametrize("model", POINT_NOISE)
+def test_relative_noise_refers_to_the_points_of_the_call_or_to_what_is_given(
+    model: type[PointImpairment], strength: dict[str, float], few_packets: list[bytes]
+) -> None:
+    if model.model_fields["kind"].default == "impulse":
+        strength = {**strength, "p": 0.9}
+    channel = Channel([build(model, **strength)], seed=1)
+    whole = channel.transmit(few_packets, transmission="hills")
+    alone = channel.transmit(few_packets[:1], transmission="hills")
+    assert alone.packets[0] != whole.packets[0]
+    again = channel.transmit(few_packets[:1], transmission="hills", reference=whole.reference)
+    assert again.packets[0] == whole.packets[0]
+    assert again.reference is whole.reference
+
+
+def test_who_has_no_relative_strength_refers_to_nothing(few_packets: list[bytes]) -> None:
+    assert send(build(POINT_NOISE[0]), few_packets).reference is None
+
+
 @pytest.mark.parametrize("model", HARMFUL)
 def test_applied_with_probability_0_it_does_nothing(model: type[Impairment], few_packets: list[bytes]) -> None:
     delivery = send(build(model, probability=0.0), few_packets)
