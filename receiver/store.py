@@ -212,10 +212,12 @@ class Store:
                 self._db.execute("BEGIN IMMEDIATE")
                 try:
                     yield self._db
+                    self._db.execute("COMMIT")
                 except BaseException:
-                    self._db.execute("ROLLBACK")
+                    # A disk that is full or fails has SQLite roll back by itself.
+                    if self._db.in_transaction:
+                        self._db.execute("ROLLBACK")
                     raise
-                self._db.execute("COMMIT")
             except sqlite3.Error as error:
                 raise StoreError(f"the store failed: {error}") from error
 
@@ -290,21 +292,25 @@ class Store:
         return [data for (data,) in self._fetch("SELECT packets FROM arrivals WHERE surface = ? ORDER BY k", (n,))]
 
     def trained(self, n: int, revision: int, *, state: State, summary: dict[str, Any]) -> None:
-        """Keep the model that was trained on `revision` of surface number `n`; nothing if that is deleted by now."""
+        """Keep the model that was trained on `revision` of surface number `n`; nothing if that is deleted or
+        has a later revision by now."""
         data = pack_state(state)
         with self._transaction() as db:
             db.execute(
-                "INSERT OR REPLACE INTO models SELECT n, ?, ?, ?, ? FROM surfaces WHERE n = ?",
-                (revision, sha256(data).hexdigest(), json.dumps(summary), data, n),
+                "INSERT OR REPLACE INTO models SELECT n, revision, ?, ?, ? FROM surfaces WHERE n = ? AND revision = ?",
+                (sha256(data).hexdigest(), json.dumps(summary), data, n, revision),
             )
-            db.execute("UPDATE surfaces SET updated = MAX(updated, ?) WHERE n = ?", (_now(), n))
+            db.execute(
+                "UPDATE surfaces SET updated = MAX(updated, ?) WHERE n = ? AND revision = ?", (_now(), n, revision)
+            )
 
     def failed(self, n: int, revision: int, error: dict[str, Any]) -> None:
-        """Keep that training on `revision` of surface number `n` failed."""
+        """Keep that training on `revision` of surface number `n` failed; nothing if that has a later one by now."""
         with self._transaction() as db:
             db.execute(
-                "UPDATE surfaces SET failed = ?, error = ?, updated = MAX(updated, ?) WHERE n = ?",
-                (revision, json.dumps(error), _now(), n),
+                "UPDATE surfaces SET failed = revision, error = ?, updated = MAX(updated, ?)"
+                " WHERE n = ? AND revision = ?",
+                (json.dumps(error), _now(), n, revision),
             )
 
     def model(self, n: int) -> State | None:

@@ -158,7 +158,8 @@ class Surfaces:
     def _take_in(
         self, name: str, body: bytes, network: dict[str, Any], sent: bytes | None
     ) -> tuple[Row, schemas.Delivery, FeatureSet | None]:
-        """Blocks. The features are those to train on, None where nothing is new."""
+        """Blocks. The features are those to train on, None where nothing is new or is being trained already."""
+        idle = self.trainings.get(name) is None
         decoder = PacketDecoder()
         packets = [*decoder.feed(body), *decoder.close()]
         if not packets and sent is not None and not _framed(sent):
@@ -192,7 +193,8 @@ class Surfaces:
             renew=renew,
         )
         self._reassemblies.put(name, reassembly)
-        return row, delivery, features if renew else None
+        # What could not be resumed after a start gets another chance.
+        return row, delivery, features if renew or (idle and schemas.state_of(row) == "training") else None
 
     def _reassembly(self, name: str) -> tuple[Row | None, Reassembly]:
         """What has arrived of `name`, from memory or from disk."""
@@ -227,12 +229,12 @@ class Surfaces:
 
     async def _finish(self, row: Row, outcome: SurfaceModel | SurfacelinkError) -> None:
         if isinstance(outcome, SurfacelinkError):
-            self.metrics.trained("failed")
             problem = problem_of(outcome).model_dump(exclude_none=True)
             await run_in_thread(self.store.failed, row.n, row.revision, problem)
+            self.metrics.trained("failed")
         else:
-            self.metrics.trained("ready")
             await run_in_thread(self._keep, row, outcome)
+            self.metrics.trained("ready")
 
     def _keep(self, row: Row, model: SurfaceModel) -> None:
         self.store.trained(row.n, row.revision, state=model.to_state(), summary=model.summary())

@@ -16,11 +16,15 @@ from anyio.from_thread import run_sync as run_in_loop
 from anyio.lowlevel import current_token
 from anyio.to_thread import run_sync as run_in_thread
 
-from common.errors import SurfacelinkError, TrainingCancelled, TrainingError
+from common.errors import StoreError, SurfacelinkError, TrainingCancelled, TrainingError
 from common.network.model import SurfaceModel
 
 PAUSE = 0.1
 """Least seconds between two reports of progress: what an eye can follow."""
+
+FIRST_PAUSE, LONGEST_PAUSE = 0.5, 60.0
+"""Seconds before an outcome that could not be stored is stored again: doubled each time, up to what one waits who made
+room on the disk."""
 
 logger = logging.getLogger(__name__)
 
@@ -28,7 +32,10 @@ Work: TypeAlias = Callable[[Callable[[str, float], None]], SurfaceModel]
 """Trains; is given the callback to report progress to, whose exception must end the training."""
 
 Finish: TypeAlias = Callable[[SurfaceModel | SurfacelinkError], Awaitable[None]]
-"""Is given what came of it; called only while no later training of the surface was started."""
+"""Is given what came of it; called only while no later training of the surface was started, and again after a
+StoreError."""
+
+Sleep: TypeAlias = Callable[[float], Awaitable[None]]
 
 
 @dataclass(eq=False)
@@ -38,7 +45,7 @@ class Job:
     Attributes
     ----------
     stage, fraction : str, float
-        How far it is; "queued" until it starts.
+        How far it is; "queued" until it starts, "storing" where its outcome could not be stored yet.
     """
 
     surface: str
@@ -61,6 +68,8 @@ class Trainings:
         Called on the event loop with a surface's name whenever its job has moved.
     clock : callable
         Seconds that grow; spaces the reports of progress.
+    sleep : callable
+        Waits for seconds; spaces the tries to store an outcome.
     """
 
     def __init__(
@@ -69,11 +78,13 @@ class Trainings:
         limit: int,
         changed: Callable[[str], None],
         clock: Callable[[], float] = time.monotonic,
+        sleep: Sleep = anyio.sleep,
     ) -> None:
         self._group = group
         self._limiter = anyio.CapacityLimiter(limit)
         self._changed = changed
         self._clock = clock
+        self._sleep = sleep
         self._loop = current_token()
         self._jobs: dict[str, Job] = {}
 
@@ -112,17 +123,26 @@ class Trainings:
             outcome = error
         except Exception:  # a defect of ours must end this job, not the receiver
             logger.exception("training of %s failed", job.surface)
-            outcome = TrainingError("the training failed for a reason that is the receiver's; its log says more")
-        if self._jobs.get(job.surface) is not job:
-            return
-        try:
-            await job.finish(outcome)
-        except SurfacelinkError:
-            logger.exception("the outcome of training %s could not be kept", job.surface)
-        finally:
-            if self._jobs.get(job.surface) is job:
-                del self._jobs[job.surface]
-            self._changed(job.surface)
+            outcome = _unforeseen()
+        pause = FIRST_PAUSE
+        while self._jobs.get(job.surface) is job:
+            try:
+                await job.finish(outcome)
+            except Exception as error:
+                # A disk that is full now need not be so later; anything else is a defect of ours, and the outcome.
+                ours = not isinstance(error, StoreError)
+                logger.warning("the outcome of training %s could not be stored: %s", job.surface, error, exc_info=ours)
+                outcome = _unforeseen() if ours else outcome
+                job.stage, job.fraction = "storing", 0.0
+                self._changed(job.surface)
+                await self._sleep(pause)
+                pause = min(2 * pause, LONGEST_PAUSE)
+            else:
+                # A later training may have come while this one was stored.
+                if self._jobs.get(job.surface) is job:
+                    del self._jobs[job.surface]
+                self._changed(job.surface)
+                return
 
     def _work(self, job: Job) -> SurfaceModel:
         reported = -math.inf
@@ -140,3 +160,7 @@ class Trainings:
 
         report("started", 0.0)
         return job.work(report)
+
+
+def _unforeseen() -> TrainingError:
+    return TrainingError("the training failed for a reason that is the receiver's; its log says more")

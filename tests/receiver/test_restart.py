@@ -13,6 +13,7 @@ from common.errors import StoreError
 from common.network.model import NetworkSettings, SurfaceModel
 from common.surface import FeatureSet
 from common.wire import WireOptions, encode
+from receiver.store import Store
 from tests.receiver.conftest import Running, packets_of
 
 pytestmark = [
@@ -162,3 +163,45 @@ async def test_a_stop_ends_open_event_streams(running: Running) -> None:
                 await anyio.sleep(0.005)
             client.app.state.surfaces.changes.close()
             await ended.wait()
+
+
+async def test_a_store_that_fails_once_delays_an_outcome_and_no_more(
+    running: Running, features: FeatureSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with running() as client:
+        store = client.app.state.surfaces.store
+        trained, failures = store.trained, [StoreError("the store failed: database or disk is full")]
+
+        def failing(*args: Any, **options: Any) -> Any:
+            if failures:
+                raise failures.pop()
+            return trained(*args, **options)
+
+        monkeypatch.setattr(store, "trained", failing)
+        await client.transmit("hills", b"".join(packets_of(features, "hills")))
+        assert (await client.get("/v1/surfaces/hills?wait=60")).json()["state"] == "ready"
+        assert not failures
+
+
+async def test_a_surface_that_could_not_be_resumed_is_trained_when_its_packets_come_again(
+    running: Running, features: FeatureSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    body = b"".join(packets_of(features, "hills"))
+    async with running(train=stuck) as client:
+        await client.transmit("hills", body)
+    arrivals, failed, healthy = Store.arrivals, threading.Event(), threading.Event()
+
+    def failing(store: Store, n: int) -> list[bytes]:
+        if healthy.is_set():
+            return arrivals(store, n)
+        failed.set()
+        raise StoreError("the store failed: disk I/O error")
+
+    monkeypatch.setattr(Store, "arrivals", failing)
+    async with running() as client:
+        with anyio.fail_after(10):
+            while not failed.is_set():
+                await anyio.sleep(0.005)
+        healthy.set()
+        assert (await client.transmit("hills", body)).json()["delivery"]["new"] == 0
+        assert (await client.get("/v1/surfaces/hills?wait=60")).json()["state"] == "ready"

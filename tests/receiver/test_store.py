@@ -113,6 +113,31 @@ def test_a_failed_write_leaves_nothing_behind(tmp_path: Path) -> None:
         assert take(store).revision == 2
 
 
+def test_a_full_disk_is_named_and_what_fits_later_is_kept(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        take(store)
+        ((pages,),) = store._fetch("PRAGMA page_count")
+        store._fetch(f"PRAGMA max_page_count = {pages + 1}")
+        with pytest.raises(StoreError, match="full"):
+            take(store, packets=bytes(100_000))
+        store._fetch("PRAGMA max_page_count = 1000000")
+        assert take(store, packets=b"two").revision == 2
+        assert store.arrivals(1) == [b"one", b"two"]
+
+
+def test_what_came_of_an_earlier_revision_does_not_replace_what_came_of_a_later_one(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        take(store)
+        take(store)
+        store.trained(1, 2, state=STATE, summary={"revision": 2})
+        store.trained(1, 1, state=STATE, summary={"revision": 1})
+        assert (store.get("hills").trained, store.get("hills").summary) == (2, {"revision": 2})
+        take(store)
+        store.failed(1, 3, {"title": "third"})
+        store.failed(1, 2, {"title": "second"})
+        assert (store.get("hills").failed, store.get("hills").error) == (3, {"title": "third"})
+
+
 def test_threads_may_share_it(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
         threads = [

@@ -8,7 +8,7 @@ from typing import Any
 import anyio
 import pytest
 
-from common.errors import SurfacelinkError, TrainingError
+from common.errors import StoreError, SurfacelinkError, TrainingError
 from common.network.model import SurfaceModel
 from receiver.training import Trainings
 
@@ -24,12 +24,17 @@ class Bench:
         self.changed: list[str] = []
         self.ended: dict[str, Any] = {}
         self.clock = 0.0
+        self.slept: list[float] = []
+
+    async def sleep(self, seconds: float) -> None:
+        self.slept.append(seconds)
+        await anyio.sleep(0)
 
     @asynccontextmanager
     async def trainings(self, limit: int = 4) -> AsyncIterator[Trainings]:
         with anyio.fail_after(20):
             async with anyio.create_task_group() as group:
-                trainings = Trainings(group, limit, self.changed.append, lambda: self.clock)
+                trainings = Trainings(group, limit, self.changed.append, lambda: self.clock, self.sleep)
                 yield trainings
                 while len(trainings):
                     await anyio.sleep(0.005)
@@ -151,6 +156,53 @@ async def test_errors_of_ours_are_told_and_others_hidden() -> None:
     assert str(bench.ended["ours"]) == "too few points"
     assert isinstance(bench.ended["others"], TrainingError)
     assert "secret" not in str(bench.ended["others"])
+
+
+async def test_an_outcome_that_cannot_be_stored_is_stored_when_that_is_possible_again() -> None:
+    bench = Bench()
+    told: list[tuple[Any, str]] = []
+
+    async def finish(outcome: Any) -> None:
+        job = trainings.get("hills")
+        assert job is not None
+        told.append((outcome, job.stage))
+        if len(told) < 10:
+            raise StoreError("database or disk is full")
+
+    async with bench.trainings() as trainings:
+        trainings.start("hills", lambda _: "model", finish)  # type: ignore[arg-type, return-value]
+    assert told == [("model", "started")] + 9 * [("model", "storing")]
+    assert bench.slept == [0.5, 1, 2, 4, 8, 16, 32, 60, 60]
+    assert bench.changed[-1] == "hills"
+
+
+async def test_an_outcome_that_waits_to_be_stored_gives_way_to_a_later_training() -> None:
+    bench = Bench()
+
+    async def never(outcome: SurfaceModel | SurfacelinkError) -> None:
+        raise StoreError("database or disk is full")
+
+    async with bench.trainings() as trainings:
+        trainings.start("hills", lambda _: "old", never)  # type: ignore[arg-type, return-value]
+        await until(lambda: len(bench.slept) > 1)
+        bench.start(trainings, lambda _: "newer", "new")
+    assert bench.ended == {"new": "newer"}
+
+
+async def test_a_defect_in_storing_is_an_outcome_too() -> None:
+    bench = Bench()
+    told: list[Any] = []
+
+    async def finish(outcome: Any) -> None:
+        told.append(outcome)
+        if not isinstance(outcome, SurfacelinkError):
+            raise KeyError("secret")
+
+    async with bench.trainings() as trainings:
+        trainings.start("hills", lambda _: "model", finish)  # type: ignore[arg-type, return-value]
+    assert told[0] == "model"
+    assert isinstance(told[1], TrainingError)
+    assert "secret" not in str(told[1])
 
 
 async def test_reports_from_threads_of_the_training_s_own_are_taken() -> None:
