@@ -291,18 +291,20 @@ class Store:
         """What arrived of surface number `n`, a run of packets each, in order of arrival."""
         return [data for (data,) in self._fetch("SELECT packets FROM arrivals WHERE surface = ? ORDER BY k", (n,))]
 
-    def trained(self, n: int, revision: int, *, state: State, summary: dict[str, Any]) -> None:
-        """Keep the model that was trained on `revision` of surface number `n`; nothing if that is deleted or
-        has a later revision by now."""
+    def trained(self, n: int, revision: int, *, state: State, summary: dict[str, Any]) -> str:
+        """Keep the model that was trained on `revision` of surface number `n`; nothing if that is deleted or has
+        a later revision by now. The digest of the model is returned."""
         data = pack_state(state)
+        digest = sha256(data).hexdigest()
         with self._transaction() as db:
             db.execute(
                 "INSERT OR REPLACE INTO models SELECT n, revision, ?, ?, ? FROM surfaces WHERE n = ? AND revision = ?",
-                (sha256(data).hexdigest(), json.dumps(summary), data, n, revision),
+                (digest, json.dumps(summary), data, n, revision),
             )
             db.execute(
                 "UPDATE surfaces SET updated = MAX(updated, ?) WHERE n = ? AND revision = ?", (_now(), n, revision)
             )
+        return digest
 
     def failed(self, n: int, revision: int, error: dict[str, Any]) -> None:
         """Keep that training on `revision` of surface number `n` failed; nothing if that has a later one by now."""
@@ -313,15 +315,15 @@ class Store:
                 (json.dumps(error), _now(), n, revision),
             )
 
-    def model(self, n: int) -> State | None:
-        """The state of the model of surface number `n`, None where there is none."""
-        rows = self._fetch("SELECT state FROM models WHERE surface = ?", (n,))
+    def model(self, n: int, digest: str) -> State | None:
+        """The state of the model `digest` of surface number `n`, None where it is another one or none by now."""
+        rows = self._fetch("SELECT state FROM models WHERE surface = ? AND digest = ?", (n, digest))
         return unpack_state(rows[0][0]) if rows else None
 
-    def forget_model(self, n: int) -> None:
-        """Drop the model of surface number `n`, so that it counts as untrained."""
+    def forget_model(self, n: int, digest: str) -> None:
+        """Drop the model `digest` of surface number `n`, so that it counts as untrained; no other one."""
         with self._transaction() as db:
-            db.execute("DELETE FROM models WHERE surface = ?", (n,))
+            db.execute("DELETE FROM models WHERE surface = ? AND digest = ?", (n, digest))
 
     def delete(self, name: str) -> Row:
         """Remove a surface and all that belongs to it; raises NotFoundError where there is none."""

@@ -62,6 +62,9 @@ class StillTraining(NotReadyError):  # noqa: N818 - a state that passes, not a f
 
     retry_after = 1
 
+    def __init__(self, name: str) -> None:
+        super().__init__(f"{name} is being trained; ask again, or add ?wait=60 to wait for it")
+
 
 class Surfaces:
     """The surfaces of a receiver.
@@ -99,7 +102,7 @@ class Surfaces:
             jobs = Trainings(group, trainings, changes.publish)
             surfaces = cls(store, jobs, changes, metrics, cached, train)
             for row in await run_in_thread(store.untrained):
-                group.start_soon(surfaces._resume, row)
+                group.start_soon(surfaces._resume, row.id)
             try:
                 yield surfaces
             finally:
@@ -219,13 +222,15 @@ class Surfaces:
 
         self.trainings.start(row.id, work, partial(self._finish, row))
 
-    async def _resume(self, row: Row) -> None:
-        async with self._lock(row.id):
+    async def _resume(self, name: str) -> None:
+        """Train what is here of `name`, unless that is done or under way."""
+        async with self._lock(name):
             try:
-                _, reassembly = await run_in_thread(self._reassembly, row.id)
-                self._start(row, await run_in_thread(reassembly.features))
+                row, reassembly = await run_in_thread(self._reassembly, name)
+                if row is not None and schemas.state_of(row) == "training" and self.trainings.get(name) is None:
+                    self._start(row, await run_in_thread(reassembly.features))
             except SurfacelinkError:
-                logger.exception("training of %s could not be resumed", row.id)
+                logger.exception("training of %s could not be resumed", name)
 
     async def _finish(self, row: Row, outcome: SurfaceModel | SurfacelinkError) -> None:
         if isinstance(outcome, SurfacelinkError):
@@ -237,8 +242,8 @@ class Surfaces:
             self.metrics.trained("ready")
 
     def _keep(self, row: Row, model: SurfaceModel) -> None:
-        self.store.trained(row.n, row.revision, state=model.to_state(), summary=model.summary())
-        self._models.put((row.n, row.revision), model)
+        digest = self.store.trained(row.n, row.revision, state=model.to_state(), summary=model.summary())
+        self._models.put(digest, model)
 
     # Answering
 
@@ -286,32 +291,35 @@ class Surfaces:
             case "receiving":
                 raise NotReadyError(f"no point of {name} has arrived yet; POST /v1/transmissions/{name} sends some")
             case "training":
-                raise StillTraining(f"{name} is being trained; ask again, or add ?wait=60 to wait for it")
+                raise StillTraining(name)
             case "failed":
                 reason = (row.error or {}).get("detail", "see its error")
                 raise NotReadyError(f"{name} could not be trained: {reason}")
         return row, await self._load(row)
 
     async def _load(self, row: Row) -> SurfaceModel:
-        model = self._models.get((row.n, row.revision))
+        """The very model that `row` names by its digest; raises StillTraining where that is no longer to be had."""
+        digest = row.digest or ""
+        model = self._models.get(digest)
         if model is not None:
             return model
         try:
-            model = await run_in_thread(self._revive, row)
+            model = await run_in_thread(self._revive, row.n, digest)
         except (SurfacelinkError, KeyError, ValueError, TypeError) as error:
             # Written by another version, or harmed on disk: what it was trained on is still there.
             logger.warning("the model of %s cannot be read and is trained again: %r", row.id, error)
-            await run_in_thread(self.store.forget_model, row.n)
-            await self._resume(await run_in_thread(self.store.get, row.id))
-            raise StillTraining(f"{row.id} is being trained; ask again, or add ?wait=60 to wait for it") from error
-        self._models.put((row.n, row.revision), model)
+            await run_in_thread(self.store.forget_model, row.n, digest)
+            await self._resume(row.id)
+            raise StillTraining(row.id) from error
+        if model is None:
+            # A later revision arrived after the row was read.
+            raise StillTraining(row.id)
+        self._models.put(digest, model)
         return model
 
-    def _revive(self, row: Row) -> SurfaceModel:
-        state = self.store.model(row.n)
-        if state is None:
-            raise StoreError("the model is gone")
-        return SurfaceModel.from_state(state)
+    def _revive(self, n: int, digest: str) -> SurfaceModel | None:
+        state = self.store.model(n, digest)
+        return None if state is None else SurfaceModel.from_state(state)
 
     async def features(self, name: str) -> tuple[Row, FeatureSet]:
         """What has arrived of `name`; raises NotFoundError, and NotReadyError while there is no point."""
@@ -328,7 +336,7 @@ class Surfaces:
             row = await run_in_thread(self.store.delete, name)
             self.trainings.cancel(name)
             self._reassemblies.drop(name)
-            self._models.drop((row.n, row.revision))
+            self._models.drop(row.digest)
         self.changes.publish(name)
 
 

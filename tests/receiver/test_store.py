@@ -23,7 +23,7 @@ def test_everything_survives_a_reopening(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
         take(store)
         row = take(store, packets=b"two")
-        store.trained(row.n, row.revision, state=STATE, summary={"centers": 3})
+        digest = store.trained(row.n, row.revision, state=STATE, summary={"centers": 3})
         take(store, "dales")
         before = store.latest(limit=10)
     with Store(tmp_path) as store:
@@ -33,7 +33,8 @@ def test_everything_survives_a_reopening(tmp_path: Path) -> None:
         assert row.summary == {"centers": 3}
         assert row.settings == {"spread": 0.3}
         assert store.arrivals(row.n) == [b"one", b"two"]
-        state = store.model(row.n)
+        assert row.digest == digest
+        state = store.model(row.n, digest)
         assert state is not None
         np.testing.assert_array_equal(state["centers"], STATE["centers"])
         assert state["name"].tolist() == ["a", "b"]
@@ -89,14 +90,14 @@ def test_updated_never_goes_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_delete_removes_all_that_belongs_to_it_and_numbers_are_not_given_again(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
         row = take(store)
-        store.trained(row.n, row.revision, state=STATE, summary={})
+        digest = store.trained(row.n, row.revision, state=STATE, summary={})
         store.delete("hills")
         assert store.arrivals(row.n) == []
-        assert store.model(row.n) is None
+        assert store.model(row.n, digest) is None
         assert store.count() == 0
         # A training that ends after its surface was deleted must not bring anything back.
         store.trained(row.n, row.revision, state=STATE, summary={})
-        assert store.model(row.n) is None
+        assert store.model(row.n, digest) is None
         assert take(store).n != row.n
         with pytest.raises(NotFoundError, match="no surface 'dales'"):
             store.delete("dales")
@@ -123,6 +124,19 @@ def test_a_full_disk_is_named_and_what_fits_later_is_kept(tmp_path: Path) -> Non
         store._fetch("PRAGMA max_page_count = 1000000")
         assert take(store, packets=b"two").revision == 2
         assert store.arrivals(1) == [b"one", b"two"]
+
+
+def test_a_model_is_asked_for_and_forgotten_by_its_digest(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        row = take(store)
+        old = store.trained(row.n, 1, state=STATE, summary={})
+        take(store)
+        new = store.trained(row.n, 2, state=STATE | {"name": np.array(["c"])}, summary={})
+        store.forget_model(row.n, old)
+        assert store.model(row.n, old) is None
+        assert store.model(row.n, new) is not None
+        store.forget_model(row.n, new)
+        assert [row.id for row in store.untrained()] == ["hills"]
 
 
 def test_what_came_of_an_earlier_revision_does_not_replace_what_came_of_a_later_one(tmp_path: Path) -> None:
