@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, computed_field
 
 State: TypeAlias = Literal["receiving", "training", "ready", "failed"]
 
@@ -20,7 +20,23 @@ class PacketCounts(BaseModel):
     foreign: int = Field(default=0, description="Packets of another transmission.")
     rebuilt: int = Field(default=0, description="Packets that did not arrive and were rebuilt from parity.")
     total: int | None = Field(description="Packets the transmission consists of; null before the first arrives.")
-    missing: list[int] = Field(description="Sequence numbers that have not arrived.")
+
+    @computed_field(  # type: ignore[prop-decorator]
+        description="Packets that are not here, neither arrived nor rebuilt; null before the first arrives."
+    )
+    @property
+    def absent(self) -> int | None:
+        """Packets that are not here."""
+        return None if self.total is None else self.total - self.received - self.rebuilt
+
+
+class PacketsNamed(PacketCounts):
+    """Packets of one transmission, the missing ones by their number."""
+
+    missing: list[int] = Field(
+        description="Sequence numbers of packets that are not here, ascending: at most 1,000 or, if that is more, as "
+        "many as have arrived. `absent` counts them all; the next receipt names others."
+    )
 
 
 class Receipt(BaseModel):
@@ -29,7 +45,7 @@ class Receipt(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     id: str
-    packets: PacketCounts
+    packets: PacketsNamed
     points: int = Field(description="Feature points held.")
     complete: bool = Field(description="Whether every packet has arrived.")
     state: State

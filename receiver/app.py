@@ -414,7 +414,7 @@ async def _events(here: Surfaces, name: str | None) -> AsyncIterator[ServerSentE
         while True:
             if changed is not None:
                 try:
-                    info = await here.info(changed, brief=True)
+                    info = await here.info(changed)
                 except NotFoundError:
                     yield ServerSentEvent(event="deleted", data={"id": changed})
                     info = None

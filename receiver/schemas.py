@@ -128,7 +128,7 @@ class SurfaceInfo(Answer):
 class SurfaceList(Answer):
     """Surfaces, the latest first."""
 
-    surfaces: list[SurfaceInfo] = Field(description="Without the sequence numbers of missing packets.")
+    surfaces: list[SurfaceInfo]
     next: str | None = Field(description="Where the list goes on, null at its end.")
 
 
@@ -156,11 +156,10 @@ def state_of(row: Row) -> State:
     return "failed" if row.failed == row.revision else "training"
 
 
-def surface_info(row: Row, progress: Progress | None, *, brief: bool = False) -> SurfaceInfo:
-    """What is told of the surface of `row`; `brief` leaves out the sequence numbers of missing packets."""
+def surface_info(row: Row, progress: Progress | None) -> SurfaceInfo:
+    """What is told of the surface of `row`."""
     contents = Contents.model_validate(row.contents)
     state = state_of(row)
-    packets = contents.packets.model_copy(update={"missing": []}) if brief else contents.packets
     return SurfaceInfo(
         id=row.id,
         state=state,
@@ -172,7 +171,7 @@ def surface_info(row: Row, progress: Progress | None, *, brief: bool = False) ->
         kind=contents.kind,
         points=contents.points,
         complete=contents.complete,
-        packets=packets,
+        packets=contents.packets,
         settings=row.settings,
         progress=progress if state == "training" else None,
         network=row.summary if state == "ready" else None,

@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from common.errors import NotFoundError, StoreError
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 _SCHEMA = """
 CREATE TABLE surfaces (
@@ -184,12 +184,15 @@ class Store:
         if version == 0:
             for statement in _SCHEMA.split(";"):
                 self._db.execute(statement)
-            self._db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+        elif version == 1:
+            # It kept the number of each missing packet, as many as a packet claimed.
+            self._db.execute("UPDATE surfaces SET contents = json_remove(contents, '$.packets.missing')")
         elif version != SCHEMA_VERSION:
             raise StoreError(
                 f"{self.path} has schema version {version}, this receiver knows {SCHEMA_VERSION}; "
                 "start a newer receiver, or choose another folder"
             )
+        self._db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
         self._db.execute("COMMIT")
 
     def __enter__(self) -> Self:

@@ -15,7 +15,7 @@ import anyio
 from anyio.to_thread import run_sync as run_in_thread
 
 from common.errors import ConflictError, NotReadyError, PacketError, StoreError, SurfacelinkError, WireError
-from common.messages import PacketCounts
+from common.messages import PacketCounts, PacketsNamed
 from common.network.model import NetworkSettings, SurfaceModel
 from common.problems import problem_of
 from common.surface import FeatureSet
@@ -26,6 +26,9 @@ from receiver.events import Changes
 from receiver.metrics import Metrics
 from receiver.store import Row, Store
 from receiver.training import Trainings
+
+MISSING_NAMED = 1_000
+"""Missing packets that a receipt names even if fewer have arrived: how many there are is but what a packet claims."""
 
 logger = logging.getLogger(__name__)
 
@@ -138,7 +141,7 @@ class Surfaces:
         """
         async with self._lock(name):
             try:
-                row, delivery, features = await run_in_thread(self._take_in, name, body, network, sent)
+                row, delivery, features, missing = await run_in_thread(self._take_in, name, body, network, sent)
             except BaseException:
                 # The packets may be in the reassembly and not on disk.
                 self._reassemblies.drop(name)
@@ -151,7 +154,7 @@ class Surfaces:
         return schemas.Receipt(
             id=name,
             state=schemas.state_of(row),
-            packets=contents.packets,
+            packets=PacketsNamed(**dict(contents.packets), missing=missing),
             points=contents.points,
             complete=contents.complete,
             delivery=delivery,
@@ -160,8 +163,9 @@ class Surfaces:
 
     def _take_in(
         self, name: str, body: bytes, network: dict[str, Any], sent: bytes | None
-    ) -> tuple[Row, schemas.Delivery, FeatureSet | None]:
-        """Blocks. The features are those to train on, None where nothing is new or is being trained already."""
+    ) -> tuple[Row, schemas.Delivery, FeatureSet | None, list[int]]:
+        """Blocks. The features are those to train on, None where nothing is new or is being trained already; last are
+        missing packets."""
         idle = self.trainings.get(name) is None
         decoder = PacketDecoder()
         packets = [*decoder.feed(body), *decoder.close()]
@@ -197,7 +201,9 @@ class Surfaces:
         )
         self._reassemblies.put(name, reassembly)
         # What could not be resumed after a start gets another chance.
-        return row, delivery, features if renew or (idle and schemas.state_of(row) == "training") else None
+        training = renew or (idle and schemas.state_of(row) == "training")
+        missing = reassembly.missing[: max(MISSING_NAMED, reassembly.received)]
+        return row, delivery, features if training else None, list(missing)
 
     def _reassembly(self, name: str) -> tuple[Row | None, Reassembly]:
         """What has arrived of `name`, from memory or from disk."""
@@ -251,19 +257,19 @@ class Surfaces:
         job = self.trainings.get(name)
         return None if job is None else schemas.Progress(stage=job.stage, fraction=job.fraction)
 
-    def _info(self, row: Row, *, brief: bool = False) -> schemas.SurfaceInfo:
-        return schemas.surface_info(row, self._progress(row.id), brief=brief)
+    def _info(self, row: Row) -> schemas.SurfaceInfo:
+        return schemas.surface_info(row, self._progress(row.id))
 
-    async def info(self, name: str, *, brief: bool = False) -> schemas.SurfaceInfo:
+    async def info(self, name: str) -> schemas.SurfaceInfo:
         """What is known of `name`; raises NotFoundError."""
-        return self._info(await run_in_thread(self.store.get, name), brief=brief)
+        return self._info(await run_in_thread(self.store.get, name))
 
     async def list(self, *, before: int | None, limit: int) -> schemas.SurfaceList:
         """At most `limit` surfaces, the latest first."""
         rows = await run_in_thread(partial(self.store.latest, before=before, limit=limit + 1))
         more = len(rows) > limit
         return schemas.SurfaceList(
-            surfaces=[self._info(row, brief=True) for row in rows[:limit]],
+            surfaces=[self._info(row) for row in rows[:limit]],
             next=f"/v1/surfaces?before={rows[limit - 1].n}&limit={limit}" if more else None,
         )
 
@@ -365,7 +371,6 @@ def _contents(
         foreign=(before.foreign if before else 0) + delivery.foreign,
         rebuilt=reassembly.rebuilt,
         total=reassembly.total,
-        missing=[] if reassembly.total is None else list(reassembly.missing),
     )
     if features is None:
         return schemas.Contents(packets=packets)

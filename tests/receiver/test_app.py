@@ -19,7 +19,11 @@ from PIL import Image
 
 from common.network.model import NetworkSettings, SurfaceModel
 from common.surface import FeatureSet, Region
-from common.wire import encode
+from common.wire import WireOptions, encode, transmission_tag
+from common.wire.header import Form, Header
+from common.wire.limits import MAX_PACKETS
+from common.wire.packet import write_datagrams
+from sender.client import ReceiverClient
 from tests.receiver.conftest import HEADERS, Client, Running, packets_of
 
 pytestmark = [
@@ -64,6 +68,7 @@ async def test_a_transmission_becomes_a_surface(client: Client, features: Featur
         "foreign": 0,
         "rebuilt": 0,
         "total": len(packets),
+        "absent": 0,
         "missing": [],
     }
     surface = (await client.get(answer.headers["location"], params={"wait": 60})).json()
@@ -84,6 +89,34 @@ async def test_the_receipt_says_what_is_missing_and_a_second_body_completes_it(
     assert second["packets"]["missing"] == []
     assert second["complete"]
     assert second["delivery"] == {"new": len(packets) - 2, "duplicate": 2, "damaged": 0, "foreign": 0}
+
+
+async def test_a_packet_s_claim_is_not_what_a_receipt_is_long_by(client: Client) -> None:
+    claim = Header(transmission_tag("hills"), MAX_PACKETS, Region(0, 1, 0, 1), Form.FLOAT64)
+    (body,) = write_datagrams(claim, [np.array([0, 0, 0, 1, 0, 0, 0, 1, 0.0]).tobytes()])
+    answer = await client.transmit("hills", body)
+    counts = answer.json()["packets"]
+    assert counts["absent"] == MAX_PACKETS - 1
+    assert counts["missing"] == list(range(1, 1_001))
+    assert len(answer.content) < 10_000
+    surface = (await client.get("/v1/surfaces/hills")).json()
+    assert surface["packets"] == {name: count for name, count in counts.items() if name != "missing"}
+    assert (await client.get("/v1/surfaces")).json()["surfaces"][0]["packets"] == surface["packets"]
+    assert len(json.dumps(client.app.state.surfaces.store.get("hills").contents)) < 1_000
+
+
+async def test_more_missing_packets_than_a_receipt_names_are_sent_round_by_round(
+    running: Running, features: FeatureSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("receiver.surfaces.MISSING_NAMED", 3)
+    packets = encode(features, transmission="hills", options=WireOptions(datagram=64))
+    async with running(channel="erasure:p=0.9", seed=2) as client:
+        first = (await client.transmit("hills", b"".join(packets))).json()["packets"]
+        assert 3 == len(first["missing"]) < first["absent"]
+    async with running(channel="erasure:p=0.3", seed=2) as client:
+        sent = await ReceiverClient(client).send(packets, transmission="hills", rounds=20)
+    assert sent.receipt.complete
+    assert (sent.receipt.packets.absent, sent.receipt.packets.missing) == (0, [])
 
 
 async def test_a_repeated_body_changes_nothing(client: Client, features: FeatureSet) -> None:

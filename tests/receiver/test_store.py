@@ -178,6 +178,18 @@ def test_a_second_receiver_cannot_use_the_same_folder(tmp_path: Path) -> None:
     Store(tmp_path).close()
 
 
+def test_a_store_of_the_first_schema_is_taken_over_without_its_lists_of_missing_packets(tmp_path: Path) -> None:
+    packets = {"received": 1, "damaged": 0, "duplicate": 0, "total": 9}
+    with Store(tmp_path) as store:
+        take(store, contents={"points": 3, "packets": packets | {"missing": list(range(1, 9))}})
+        store._fetch("PRAGMA user_version = 1")
+    for _ in range(2):
+        with Store(tmp_path) as store:
+            assert store.get("hills").contents == {"points": 3, "packets": packets}
+            assert store.arrivals(1) == [b"one"]
+            assert store._fetch("PRAGMA user_version") == [(SCHEMA_VERSION,)]
+
+
 def test_a_newer_schema_is_refused(tmp_path: Path) -> None:
     Store(tmp_path).close()
     db = sqlite3.connect(tmp_path / "receiver.sqlite3")
