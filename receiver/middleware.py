@@ -80,30 +80,12 @@ class ChannelMiddleware:
             lambda: carry(channel, body, transmission=transmission, attempt=attempt, references=self._references),
             abandon_on_cancel=True,
         )
-        if not await self._wait(delivery.seconds, receive):
-            return
+        if delivery.seconds:
+            # Whether the client is still there or not: what is on the air arrives, although its sender hung up.
+            await self.sleep(delivery.seconds)
         harmed, faults = delivery.body, faults_header(delivery)
         scope = {**scope, "headers": _with_length(headers, len(harmed)), SENT: body, FAULTS: faults}
         await self.app(scope, _replay(harmed, receive), _announce(faults, send))
-
-    async def _wait(self, seconds: float, receive: Receive) -> bool:
-        """Wait for the link; False if the client went away meanwhile, so that a slow link holds no dead requests."""
-        if not seconds:
-            return True
-        there = True
-        async with anyio.create_task_group() as group:
-
-            async def watch() -> None:
-                nonlocal there
-                while (await receive())["type"] != "http.disconnect":
-                    pass
-                there = False
-                group.cancel_scope.cancel()
-
-            group.start_soon(watch)
-            await self.sleep(seconds)
-            group.cancel_scope.cancel()
-        return there
 
     async def _read(self, headers: Headers, receive: Receive) -> bytes | None:
         """The whole body, or None where the client went away; raises LimitError."""

@@ -24,7 +24,11 @@ CONNECT_TIMEOUT = 5.0
 """Seconds to reach the receiver: a host that is up answers within a second, even over a satellite."""
 
 READ_TIMEOUT = 60.0
-"""Seconds for an answer: a body of `MAX_BODY_BYTES` through a channel that is held to a low rate takes its time."""
+"""Seconds for an answer, beside the time that a body takes on the link."""
+
+SLOWEST_LINK = 100.0
+"""Bits a second at which a body is given its time on the link: less than half of LoRa's lowest rate, see
+`common.channel.profiles`."""
 
 MAX_BODY_BYTES = 4 << 20
 """A longer run of packets is posted in several bodies: well below what the receiver accepts in one."""
@@ -186,6 +190,7 @@ class ReceiverClient:
                     content=bytes(body),
                     headers={"Content-Type": MEDIA_TYPE, ATTEMPT_HEADER: str(attempt)},
                     params=dict(network or {}),
+                    timeout=httpx.Timeout(READ_TIMEOUT + 8 * len(body) / SLOWEST_LINK, connect=CONNECT_TIMEOUT),
                 )
                 try:
                     receipt = Receipt.model_validate_json(answer.content)
@@ -279,8 +284,7 @@ class ReceiverClient:
             except httpx.TransportError as error:
                 if last:
                     raise LinkError(
-                        f"the receiver at {self.http.base_url} does not answer ({_reason(error)}); "
-                        "start it with: receiver serve"
+                        f"the receiver at {self.http.base_url} does not answer ({_reason(error)}); {_advice(error)}"
                     ) from error
                 await self.sleep(self.retry.pause(failures, self.rng))
                 continue
@@ -294,6 +298,12 @@ class ReceiverClient:
 
 def _reason(error: httpx.TransportError) -> str:
     return str(error) or type(error).__name__
+
+
+def _advice(error: httpx.TransportError) -> str:
+    if isinstance(error, httpx.ReadTimeout):
+        return f"it is busy, or the link slower than {SLOWEST_LINK:g} bit/s: what was sent may still arrive, look later"
+    return "start it with: receiver serve"
 
 
 def _retry_after(answer: httpx.Response) -> float | None:

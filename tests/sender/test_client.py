@@ -11,6 +11,7 @@ import httpx
 import numpy as np
 import pytest
 
+from common.channel import Channel
 from common.channel.carrying import ATTEMPT_HEADER
 from common.errors import LinkError, NotFoundError, ParameterError, RefusedError, TrainingError
 from sender import client as module
@@ -102,6 +103,23 @@ def test_long_bodies_are_cut_between_packets(monkeypatch: pytest.MonkeyPatch) ->
     receiver = Receiver(*[accepted([]) for _ in range(3)])
     receiver.run(send)
     assert [request.content for request in receiver.requests] == [b"".join(PACKETS[i : i + 2]) for i in (0, 2, 4)]
+
+
+@pytest.mark.parametrize("size", [10, 20_000])
+def test_a_body_is_given_its_time_on_the_slowest_link(size: int) -> None:
+    receiver = Receiver(accepted([], total=1))
+    receiver.run(lambda client: client.send([bytes(size)], transmission="a"))
+    on_the_link = Channel.parse("rate:bits_per_second=250").transmit([bytes(size)], transmission="a").seconds
+    timeout = receiver.requests[0].extensions["timeout"]
+    assert timeout["read"] >= module.READ_TIMEOUT + on_the_link
+    assert timeout["connect"] == module.CONNECT_TIMEOUT
+
+
+def test_a_receiver_that_takes_too_long_is_not_said_to_be_down() -> None:
+    receiver = Receiver(*[httpx.ReadTimeout("")] * 4)
+    with pytest.raises(LinkError, match=r"ReadTimeout.*link slower than 100 bit/s.*may still arrive") as raised:
+        receiver.run(send)
+    assert "receiver serve" not in str(raised.value)
 
 
 def test_failures_that_may_pass_are_tried_again_with_growing_pauses() -> None:
