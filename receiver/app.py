@@ -23,7 +23,7 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from common.channel import Channel
 from common.channel.carrying import FAULTS_HEADER
-from common.errors import ChannelError, ForbiddenError, MediaTypeError, NotFoundError, NotReadyError, ParameterError
+from common.errors import ForbiddenError, MediaTypeError, NotFoundError, NotReadyError, ParameterError
 from common.network.model import NetworkSettings, SurfaceModel
 from common.problems import MEDIA_TYPE as PROBLEM_TYPE
 from common.problems import Problem
@@ -329,7 +329,7 @@ async def put_channel(
     """For requests that start later; forgotten at a restart. Only where RECEIVER_CHANNEL_CONTROL allows it."""
     if not settings.channel_control:
         raise ForbiddenError("the channel is fixed here; start the receiver with --channel-control to change it")
-    request.app.state.channel = _channel_of(document)
+    request.app.state.channel = Channel.from_json(document)
     return _channel_info(request.app.state.channel, settings)
 
 
@@ -392,14 +392,6 @@ def _bounded(wait: float, settings: Settings) -> float:
     if wait > settings.max_wait_seconds:
         raise ParameterError(f"wait is at most {settings.max_wait_seconds:g} seconds here")
     return wait
-
-
-def _channel_of(document: Any) -> Channel:
-    if not isinstance(document, dict) or "spec" not in document:
-        return Channel.from_json(document)
-    if not isinstance(document["spec"], str) or not document.keys() <= {"spec", "seed"}:
-        raise ChannelError('a channel is {"spec": the short string, "seed": 0} or {"impairments": [], "seed": 0}')
-    return Channel.parse(document["spec"], seed=document.get("seed", 0))
 
 
 def _channel_info(channel: Channel, settings: Settings) -> schemas.ChannelInfo:

@@ -477,6 +477,7 @@ async def test_the_channel_is_shown_and_set_only_where_allowed(running: Running)
         wrong: list[Any] = [{"spec": "thunder"}, {"spec": 3}, {"spec": "clean", "sed": 1}, [], {"seed": -1}, "thunder"]
         for bad in wrong:
             assert_problem(await client.put("/v1/channel", json=bad), 422)
+        assert_problem(await client.put("/v1/channel", json={"spec": "clean", "foo": 1}), 422, "no member 'foo'")
         assert (await client.get("/v1/channel")).json() == shown
         malformed = await client.put("/v1/channel", content=b"{", headers={"Content-Type": "application/json"})
         assert_problem(malformed, 422)
