@@ -42,7 +42,11 @@ class Order(BaseModel):
     z_unit: Unit = Field("", description="Unit of z of an upload.")
     rounds: int = Field(1, ge=1, le=100, description="1 sends once; more sends again what the receipt calls missing.")
     wire: WireOptions = Field(WireOptions(), description="Packets: size, precision, coding, protection.")
-    network: NetworkSettings | None = Field(None, description="Network the receiver is to train; none for its default.")
+    network: NetworkSettings | None = Field(
+        None,
+        description="Settings of the network that the receiver trains; what is left out, or null, stays as it was last "
+        "given for this id, at first the receiver's default.",
+    )
 
 
 @dataclass(frozen=True)
@@ -107,5 +111,5 @@ async def deliver(prepared: Prepared, order: Order, client: ReceiverClient) -> S
     """Post the packets to the receiver, again where its receipt calls some missing (see `ReceiverClient.send`)."""
     settings: dict[str, Any] | None = None
     if order.network is not None:
-        settings = order.network.model_dump(exclude_defaults=True)
+        settings = order.network.model_dump(exclude_unset=True, exclude_none=True)
     return await client.send(prepared.packets, transmission=prepared.id, rounds=order.rounds, network=settings)

@@ -105,7 +105,7 @@ class Link:
         options : WireOptions
             Packets: size, precision, coding, protection.
         network : NetworkSettings
-            The network the receiver trains.
+            The network the receiver trains; what was not given to the settings is left to the receiver.
         rounds : int
             More than 1 sends again what the receipt calls missing.
 
@@ -119,8 +119,7 @@ class Link:
         packets = encode(features, transmission=transmission, options=options)
         transport = ChannelTransport(self.transport(), channel, sleep=_virtual)
         async with ReceiverClient.connect(self._url, transport, self._sleep) as client:
-            sent = await client.send(
-                packets, transmission=transmission, rounds=rounds, network=network.model_dump(exclude_defaults=True)
-            )
+            asked = network.model_dump(exclude_unset=True, exclude_none=True)
+            sent = await client.send(packets, transmission=transmission, rounds=rounds, network=asked)
             surface = await client.wait_ready(transmission)
             return Outcome(sent, await client.features(transmission), await client.grid(transmission, shape), surface)

@@ -14,6 +14,7 @@ import pytest
 from common.channel import Channel
 from common.errors import NotFoundError, RefusedError, TrainingError
 from common.metrics import nrmse
+from common.network.model import NetworkSettings
 from common.surface import FeatureSet, FloatArray
 from common.wire import WireOptions, encode
 from receiver.app import create_app
@@ -152,6 +153,20 @@ def test_an_id_that_is_taken_by_other_features_is_refused(tmp_path: Path) -> Non
 
     with pytest.raises(RefusedError, match="409"):
         linked(tmp_path, use)
+
+
+def test_settings_given_anew_take_the_place_of_the_earlier_ones_even_where_they_are_the_defaults(
+    tmp_path: Path,
+) -> None:
+    async def use(link: Link) -> list[dict[str, Any]]:
+        return [
+            (await link.send(features_of("surface-1"), transmission="a", shape=SHAPE, network=network)).surface
+            for network in (NetworkSettings(), NetworkSettings(spread=0.3), NetworkSettings(spread="auto"))
+        ]
+
+    auto, own, again = linked(tmp_path, use)
+    assert own["network"]["spread"] == 0.3
+    assert again["network"] == auto["network"]
 
 
 def test_what_was_received_survives_a_restart(tmp_path: Path) -> None:

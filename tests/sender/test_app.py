@@ -110,6 +110,33 @@ def test_a_file_is_sent() -> None:
     run(use)
 
 
+@pytest.mark.parametrize(
+    ("network", "asked"),
+    [
+        ({"spread": 0.3, "smoothing": 0}, {"spread": "0.3", "smoothing": "0.0"}),
+        ({"spread": "auto", "smoothing": "auto"}, {"spread": "auto", "smoothing": "auto"}),
+        ({"tolerance": 0, "max_centers": None}, {"tolerance": "0.0"}),
+        ({}, {}),
+        (None, {}),
+    ],
+)
+def test_the_receiver_is_asked_for_every_setting_that_is_given(
+    network: dict[str, Any] | None, asked: dict[str, str]
+) -> None:
+    found: list[dict[str, str]] = []
+
+    def note(request: httpx.Request) -> httpx.Response:
+        found.append(dict(request.url.params))
+        return receive(request)
+
+    async def use(client: httpx.AsyncClient) -> None:
+        answer = await client.post("/v1/transmissions", json={"surface": "surface-1", "network": network})
+        await settled(client, answer.headers["Location"])
+
+    run(use, note)
+    assert found == [asked]
+
+
 def test_a_receiver_that_is_down_is_a_failed_transmission_not_a_lost_one() -> None:
     async def use(client: httpx.AsyncClient) -> None:
         answer = await client.post("/v1/transmissions", json={"surface": "surface-1"})
