@@ -24,7 +24,7 @@ from simulator.codecs.protection import find_protection
 from simulator.methods import parse_method
 
 Axis: TypeAlias = Annotated[str, Field(min_length=1, max_length=40)]
-"""What the levels of a channel mean; `simulator.report` knows how to draw noise, loss, ber and ebn0_db."""
+"""What the levels of a channel mean; `simulator.report.AXES` are those that it draws and explains best."""
 
 MAX_TRIALS = 1_000_000
 """A campaign beyond this is a slip of the pen: at 10 ms a trial it would take three hours a core."""

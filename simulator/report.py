@@ -13,6 +13,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from html import escape
 from types import MappingProxyType
 from typing import Any, TypeAlias
@@ -24,6 +25,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
 
+from common.channel import Channel, Impairment
 from simulator.page import (
     DASHES,
     MARKERS,
@@ -48,6 +50,9 @@ HANDLE, LETTER = 0.75, 0.08
 SIZES = 1.5
 """Factor between the sizes of a line from which it is worth drawing over them."""
 
+STRENGTHS = ("probability", "p", "ber", "std", "amplitude", "relative", "offset", "seconds")
+"""Parameters of impairments that at 0 leave everything as it is; 0 dB is not among them."""
+
 MAX_LINES = 8
 """Lines in one plot that colour, dash and marker still tell apart."""
 
@@ -70,8 +75,8 @@ AXES: Mapping[str, AxisLook] = MappingProxyType(
             True,
             "Distortion against Gaussian noise in the heights of the features that arrive.",
         ),
-        "noise_xyz": AxisLook(
-            "noise in x, y and z, deviation over the range of each",
+        "noise in x, y and z": AxisLook(
+            "noise in x, y and z, over the range of each",
             False,
             True,
             "Distortion against Gaussian noise in all three coordinates of the features that arrive, as in the paper.",
@@ -301,7 +306,11 @@ def cells_csv(rows: Sequence[Row]) -> str:
 
 @dataclass(frozen=True)
 class Contest:
-    """One cell of a campaign: a surface under a channel in so many bytes, every line's distortion."""
+    """One cell of a campaign: a surface under a channel in so many bytes, every line's distortion.
+
+    One line stands for the network, `own`, the same in every cell: the best of several, chosen by the samples it is
+    compared on, would win more than any of them.
+    """
 
     surface: str
     axis: str
@@ -310,41 +319,62 @@ class Contest:
     budget: str
     harmful: bool
     distortion: Mapping[str, Spread]
+    own: str
 
     @property
     def winner(self) -> str:
-        """The line of lowest median."""
-        return min(self.distortion, key=lambda line: self.distortion[line].median)
+        """The line of lowest median among the network's own and its rivals, "" where none of them has a surface."""
+        return self._lowest(self.own)
+
+    def won_by(self, line: str) -> bool:
+        """Whether `line` has the lowest median; another line of the network enters in the place of `own`."""
+        return self._lowest(line if line.startswith(NETWORK) else self.own) == line
+
+    def _lowest(self, entrant: str) -> str:
+        entered = [line for line in self.distortion if line == entrant or not line.startswith(NETWORK)]
+        best = min(entered, key=lambda line: self.distortion[line].median)
+        return best if math.isfinite(self.distortion[best].median) else ""
 
     @property
     def lost_by_all(self) -> bool:
         """Whether the median sample fails whatever the method: nothing arrived."""
-        return math.isinf(self.distortion[self.winner].median)
-
-    @property
-    def network(self) -> str:
-        """The network's best line."""
-        return _own_line(self.distortion)
-
-
-def _own_line(distortion: Mapping[str, Spread]) -> str:
-    return min((name for name in distortion if name.startswith(NETWORK)), key=lambda name: distortion[name].median)
+        return all(math.isinf(spread.median) for spread in self.distortion.values())
 
 
 def contests(rows: Sequence[Row]) -> list[Contest]:
-    """Every (surface, channel, bytes allowed), methods on the unharmed cloud left out."""
+    """Every (surface, channel, bytes allowed) in which the network's own line takes part; none without a rival.
+
+    That line is the first of a network with the receiver's settings, or the first network there is. Methods on the
+    unharmed cloud are left out.
+    """
     fair = [_of_a_budget(row) for row in rows if not str(row["method"]).endswith("@cloud")]
     budgets = {row["budget"] for row in fair}
     line_of = Lines(fair)
+    networks = [row for row in fair if text(row, "method").startswith(NETWORK)]
+    if len(networks) in (0, len(fair)):
+        return []
+    own = line_of(next((row for row in networks if row["method"] == NETWORK), networks[0]))
     found = []
     for ((surface, axis, level, channel), budget), of in group(
         fair, lambda row: (_place(row), text(row, "budget") if len(budgets) > 1 else "")
     ).items():
         distortion = {line: Spread.of([row["nrmse"] for row in its]) for line, its in group(of, line_of).items()}
-        harmful = any(row["channel"] not in ("", "clean") for row in of) and level != 0
-        if any(name.startswith(NETWORK) for name in distortion):
-            found.append(Contest(surface, axis, level, channel, budget, harmful, distortion))
+        harmful = any(_harms(text(row, "channel")) for row in of)
+        if own in distortion:
+            found.append(Contest(surface, axis, level, channel, budget, harmful, distortion, own))
     return found
+
+
+@cache
+def _harms(channel: str) -> bool:
+    """Whether a channel, in short form, does anything at all."""
+    return any(map(_acts, Channel.parse(channel).impairments))
+
+
+def _acts(impairment: Impairment) -> bool:
+    given = impairment.model_dump()
+    # The good state of a burst channel, which p = 0 never leaves, may lose packets, too.
+    return given.get("k", 1.0) < 1 or all(given.get(name) != 0 for name in STRENGTHS)
 
 
 def _of_a_budget(row: Row) -> Row:
@@ -376,14 +406,14 @@ def contests_html(cells: Sequence[Contest], notes: Mapping[str, str]) -> str:
     nothing = [cell for cell in cells if cell.lost_by_all]
     cells = [cell for cell in cells if not cell.lost_by_all]
     harmful = [cell for cell in cells if cell.harmful]
-    lost = [cell for cell in cells if not cell.winner.startswith(NETWORK)]
-    won = sum(cell.winner.startswith(NETWORK) for cell in harmful)
+    lost = [cell for cell in cells if cell.winner != cell.own]
+    won = sum(cell.winner == cell.own for cell in harmful)
     clean = [cell for cell in cells if not cell.harmful]
-    clean_won = sum(cell.winner.startswith(NETWORK) for cell in clean)
+    clean_won = sum(cell.winner == cell.own for cell in clean)
     shares = [f"<b>{won} of {len(harmful)} cells with harm ({100 * won / len(harmful):.0f} %)</b>"] if harmful else []
     shares += [f"{clean_won} of {len(clean)} {'without' if harmful else 'cells without harm'}"] if clean else []
     words = (
-        f"The network has the lowest median NRMSE in {', and in '.join(shares)}."
+        f"{_subject(cells)} the lowest median NRMSE in {', and in '.join(shares)}."
         if shares
         else "No line has a surface."
     )
@@ -391,7 +421,7 @@ def contests_html(cells: Sequence[Contest], notes: Mapping[str, str]) -> str:
     by_axis = group_by_axis(harmful)
     if len(by_axis) > 1:
         shares = [
-            f"{escape(look_of(axis).label)}: {sum(cell.winner.startswith(NETWORK) for cell in of)} of {len(of)}"
+            f"{escape(look_of(axis).label)}: {sum(cell.winner == cell.own for cell in of)} of {len(of)}"
             for axis, of in by_axis.items()
         ]
         intro += f"<p>{'; '.join(shares)}.</p>"
@@ -404,10 +434,10 @@ def contests_html(cells: Sequence[Contest], notes: Mapping[str, str]) -> str:
         [
             _nice_name(cell.surface),
             _level(cell),
-            cell.winner,
-            _distortion(cell.distortion[cell.winner].median),
-            _distortion(cell.distortion[cell.network].median),
-            _ratio(cell.distortion[cell.network].median / cell.distortion[cell.winner].median),
+            cell.winner or "none",
+            _distortion(cell.distortion[cell.winner or cell.own].median),
+            _distortion(cell.distortion[cell.own].median),
+            _ratio(cell.distortion[cell.own].median / cell.distortion[cell.winner or cell.own].median),
             TableCell(escape(_why(cell, notes)), "wrap"),
         ]
         for cell in lost
@@ -416,8 +446,16 @@ def contests_html(cells: Sequence[Contest], notes: Mapping[str, str]) -> str:
     return intro + table(head, rows, names=3, caption="The cells in which the network does not win.")
 
 
+def _subject(cells: Sequence[Contest]) -> str:
+    """Who is said to win: the network, and which of its lines where there are several."""
+    own = cells[0].own
+    if all(line == own or not line.startswith(NETWORK) for cell in cells for line in cell.distortion):
+        return "The network has"
+    return f"Of the network's lines, the one called \u201c{escape(own)}\u201d alone is counted. Against its rivals it has"
+
+
 def _why(cell: Contest, notes: Mapping[str, str]) -> str:
-    best, own = cell.distortion[cell.winner], cell.distortion[cell.network]
+    best, own = cell.distortion[cell.winner or cell.own], cell.distortion[cell.own]
     note = notes.get(f"{cell.surface} {cell.axis} {cell.level}", notes.get(cell.surface, ""))
     close = own.low <= best.high and own.median < 1.1 * best.median
     scatter = "Within the scatter between samples: the quartiles overlap." if close else ""
@@ -426,14 +464,15 @@ def _why(cell: Contest, notes: Mapping[str, str]) -> str:
 
 def ranking_html(cells: Sequence[Contest]) -> str:
     """Every line of the campaign: cells won, and its NRMSE over the network's, by surface."""
+    own = cells[0].own
     cells = [cell for cell in cells if not cell.lost_by_all]
     surfaces = list(dict.fromkeys(cell.surface for cell in cells))
     names = list(dict.fromkeys(name for cell in cells for name in cell.distortion))
 
     def ratio(name: str, of: Sequence[Contest]) -> float:
         here = [cell for cell in of if name in cell.distortion]
-        pairs = [(cell.distortion[name].median, cell.distortion[cell.network].median) for cell in here]
-        values = [its / own for its, own in pairs if math.isfinite(its) and math.isfinite(own)]
+        pairs = [(cell.distortion[name].median, cell.distortion[own].median) for cell in here]
+        values = [its / ours for its, ours in pairs if math.isfinite(its) and math.isfinite(ours)]
         return float(np.exp(np.mean(np.log(values)))) if values else math.nan
 
     harm = any(cell.harmful for cell in cells)
@@ -442,17 +481,19 @@ def ranking_html(cells: Sequence[Contest]) -> str:
     rows = [
         [
             name,
-            str(sum(cell.winner == name for cell in harmful)),
+            str(sum(name in cell.distortion and cell.won_by(name) for cell in harmful)),
             _ratio(ratio(name, harmful)),
             *(_ratio(ratio(name, [cell for cell in harmful if cell.surface == s])) for s in surfaces),
         ]
         for name in order
     ]
+    named = f"\u201c{escape(own)}\u201d"
     return table(
-        ["method", "cells won", "all", *(_nice_name(s) for s in surfaces)],
+        ["line", "cells won", "all", *(_nice_name(s) for s in surfaces)],
         rows,
-        caption=f"Cells {'with harm ' if harm else ''}that each method wins, and its median NRMSE over the network's "
-        "(geometric mean over the cells in which both give a surface; above 1 the network is better).",
+        caption=f"Cells {'with harm ' if harm else ''}that each line wins, a line of the network against those that are "
+        f"none, and its median NRMSE over that of {named} (geometric mean over the cells in which both give a surface; "
+        f"above 1 {named} is better).",
     )
 
 
@@ -490,7 +531,7 @@ def render(rows: Sequence[Row], words: Words, seconds: Sequence[float] | None = 
     parts = [f"<h1>{escape(words.title)}</h1>", f'<p class="lead">{escape(words.lead)}</p>', _tried(rows)]
     parts.append(f"<pre>{escape(words.command)}</pre>")
     cells = contests(rows)
-    if len({name for cell in cells for name in cell.distortion}) > 1:
+    if cells:
         parts += ["<h2>Who wins where</h2>", contests_html(cells, words.notes), ranking_html(cells)]
     lines = choose_lines(sent)
     for axis, of in group(sent, lambda row: row["axis"]).items():
@@ -524,7 +565,7 @@ def _curves_html(of_axis: Curves, look: AxisLook, lines: Sequence[str]) -> str:
 
 
 def _bytes_html(rows: Sequence[Row]) -> list[str]:
-    clean = [row for row in rows if row["channel"] in ("", "clean") or row["level"] == 0]
+    clean = [row for row in rows if not _harms(text(row, "channel"))]
     cells = group(clean, lambda row: (text(row, "surface"), row["wire"], row["sends"], text(row, "method")))
     sized = _nested(
         (

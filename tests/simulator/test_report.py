@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
 
 from simulator import report
+from simulator.campaign import Campaign
 from simulator.page import data_script, page, table
 from simulator.runner import Row
 from simulator.statistics import Spread
@@ -83,17 +85,85 @@ def test_a_clean_cell_does_not_count_as_harmed() -> None:
     assert "2 of 2 cells with harm (100 %)</b>, and in 0 of 1 without" in report.render([*rows(), *clean], WORDS)
 
 
+@pytest.mark.parametrize(
+    ("channel", "level", "harmful"),
+    [
+        ("clean", None, False),
+        ("clean;seed=1", None, False),
+        ("gaussian:std=0.0,axes=z", 0.0, False),
+        ("gaussian:std=0.0,axes=z;erasure:p=0.1", 0.0, True),
+        ("erasure:p=0.0;seed=3", 0.0, False),
+        ("bit_errors:ber=0.1,probability=0", None, False),
+        ("gilbert_elliott:p=0,r=0.5", 0.0, False),
+        ("gilbert_elliott:p=0,r=0.5,k=0.9", 0.0, True),
+        ("awgn:ebn0_db=0.0", 0.0, True),
+        ("gaussian:snr_db=0", 0.0, True),
+        ("lora", None, True),
+    ],
+)
+def test_harm_is_what_the_channel_does(channel: str, level: float | None, harmful: bool) -> None:
+    cell = [row(method=m, level=level, nrmse=e, channel=channel) for m, e in (("network", 0.1), ("linear", 0.2))]
+    assert [found.harmful for found in report.contests(cell)] == [harmful]
+    sized = [row(method="network", level=level, bytes=b, nrmse=10 / b, channel=channel) for b in (100, 1000)]
+    sized[1] |= {"sends": "features pieces=9"}  # type: ignore[operator]
+    assert ("Distortion against bytes" in report.render(sized, WORDS)) != harmful
+
+
+def test_one_line_stands_for_the_network() -> None:
+    errors = {"network[spread=1]": (0.1, 0.4), "network": (0.3, 0.3), "linear": (0.2, 0.35), "cubic": (0.4, 0.5)}
+    given = [
+        row(method=method, level=level, nrmse=error)
+        for method, of in errors.items()
+        for level, error in zip((0.1, 0.2), of, strict=True)
+    ]
+    first, second = report.contests(given)
+    assert first.own == second.own == "network"
+    assert (first.winner, second.winner) == ("linear", "network")
+    assert [cell.won_by("network[spread=1]") for cell in (first, second)] == [True, False]
+    html = report.render(given, WORDS)
+    assert "the one called \u201cnetwork\u201d alone is counted" in html
+    assert "1 of 2 cells with harm (50 %)" in html
+    won = dict(re.findall(r'<tr><td class="name">([^<]*)</td><td>(\d+)</td>', html))
+    assert won == {"network[spread=1]": "1", "network": "1", "linear": "1", "cubic": "0"}
+
+
+def test_a_cell_that_only_another_line_of_the_network_survives_is_lost() -> None:
+    given = [
+        row(method=m, level=0.1, nrmse=e) for m, e in (("network", None), ("network[spread=1]", 0.1), ("linear", None))
+    ]
+    (cell,) = report.contests(given)
+    assert (cell.winner, cell.lost_by_all) == ("", False)
+    assert "0 of 1 cells with harm" in report.render(given, WORDS)
+
+
+def test_the_first_network_stands_for_it_where_none_has_the_usual_settings() -> None:
+    given = [row(method=m, level=0.1, nrmse=e) for m, e in (("linear", 3), ("network[spread=2]", 2), ("network[a]", 1))]
+    assert report.contests(given)[0].own == "network[spread=2]"
+
+
+def test_the_network_does_not_win_against_itself() -> None:
+    assert "Who wins where" not in report.render(
+        [row(method="network", sends=sends, level=0.1, nrmse=0.1) for sends in ("features", "features pieces=9")], WORDS
+    )
+
+
 def test_a_method_on_the_clean_cloud_does_not_compete() -> None:
     cheat = [row(method="cubic@cloud", level=level, nrmse=1e-9) for level in (0.01, 0.1)]
     assert "2 of 2 cells" in report.render([*rows(), *cheat], WORDS)
 
 
-@pytest.mark.parametrize("axis", ["noise", "loss", "ber", "ebn0_db", "humidity"])
+@pytest.mark.parametrize("axis", [*report.AXES, "humidity"])
 def test_every_axis_is_drawn_and_explained(axis: str) -> None:
     html = report.render(rows(axis=axis), WORDS)
     assert report.look_of(axis).label in html
     assert report.look_of(axis).sentence in html
     assert html.count("<svg") == 1
+
+
+def test_the_axes_of_the_published_campaigns_are_known() -> None:
+    campaigns = [Campaign.load(path) for path in (Path(__file__).parents[2] / "docs" / "campaigns").glob("*.toml")]
+    assert campaigns
+    assert {sweep.axis for plan in campaigns for sweep in plan.channels if sweep.levels} <= set(report.AXES)
 
 
 def test_bytes_and_times_are_drawn_where_they_are_known() -> None:
