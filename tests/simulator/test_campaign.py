@@ -87,6 +87,32 @@ def test_all_methods_share_one_cloud_and_one_harm() -> None:
         assert all(row == shared[0] for row in shared)
 
 
+def by_sample(method: str, **changes: object) -> list[Cell]:
+    """The errors of one method in three samples."""
+    rows = rows_of(campaign(**changes, methods=[method], seeds=3))
+    assert [row["sample"] for row in rows] == [0, 1, 2]
+    return [row["nrmse"] for row in rows]
+
+
+NODES: dict[str, Any] = {"surfaces": [{"field": "peaks"}], "features": [{"pieces": 6}], "grid": [16, 16]}
+"""All nodes of a field are the same cloud in every sample."""
+
+
+def test_each_sample_is_a_cloud_of_its_own() -> None:
+    for method in ("linear", "linear@cloud"):
+        assert len(set(by_sample(method, surfaces=["surface-1"], channels=["clean"]))) == 3
+    assert len(set(by_sample("linear", **NODES, channels=["clean"]))) == 1
+
+
+@pytest.mark.parametrize("channel", ["gaussian:std=0.1,axes=z", "erasure:p=0.3"])
+def test_each_sample_meets_a_harm_of_its_own(channel: str) -> None:
+    assert len(set(by_sample("linear", **NODES, channels=[channel], wire=[{"datagram": 64}]))) == 3
+
+
+def test_a_method_draws_anew_in_each_sample() -> None:
+    assert len(set(by_sample("random_network", **NODES, channels=["clean"]))) == 3
+
+
 def test_more_of_anything_keeps_the_trials_there_are() -> None:
     base = {trial.key for trial in campaign(surfaces=["surface-1"], seeds=1).trials()}
     levels = [{"spec": "gaussian:std={z},axes=z", "axis": "noise", "levels": [0.02, 0.05, 0.1]}]
@@ -307,6 +333,12 @@ def test_a_raster_is_sent_beside_the_features_at_its_budget() -> None:
     assert int(raster["bytes"] or 0) <= 900
     assert float(raster["nrmse"] or 1) < 0.05
     assert set(raster) == set(features) == set(COLUMNS)
+
+
+def test_a_raster_meets_a_harm_of_its_own_in_each_sample() -> None:
+    sent = {"codec": "scattered_samples", "budget": 900, "datagram": 64}
+    rows = rows_of(campaign(**RASTER | {"codecs": [sent], "seeds": 3}, channels=["erasure:p=0.3"]))
+    assert len({row["nrmse"] for row in rows if row["method"] == "scattered_samples"}) == 3
 
 
 def test_a_raster_has_no_points_to_move() -> None:

@@ -211,6 +211,10 @@ def test_what_fails_for_everyone_is_named_and_not_counted() -> None:
     assert "loses everything sent: Peaks noise 50 %" in html
 
 
+def test_a_spread_is_the_median_and_the_quartiles() -> None:
+    assert Spread.of(range(9)) == Spread(4.0, 2.0, 6.0, 9, 0)
+
+
 def test_a_failure_is_infinitely_bad() -> None:
     assert Spread.of([1.0, None, 3.0]) == Spread(3.0, 1.0, float("inf"), 3, 1)
     assert Spread.of([1.0, 2.0, None, None]).median == float("inf")

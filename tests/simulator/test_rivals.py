@@ -44,6 +44,9 @@ def test_every_rival_keeps_to_the_bytes_and_the_files_say_what_was_measured(tmp_
     assert bare[0.0].median < bare[0.4].median < 0.1  # a thinner lattice is a surface still
     assert bare[0.4].failed == 0
     assert spreads(rows, "franke", "ber")["lattice protected, network"][1e-2].median == safe[0.0].median
+    for rival in ("features, network", "lattice, network", "scattered"):
+        lossy = [row["nrmse"] for row in rows if (row["rival"], row["axis"], row["level"]) == (rival, "loss", 0.4)]
+        assert len(set(lossy)) == 3
 
 
 def test_the_winner_has_the_least_median_and_failures_never_win() -> None:
