@@ -213,7 +213,7 @@ async def send(
                 raise ParameterError("the form has no file in its field 'file'")
             order = _parse(text.encode()) if isinstance(text, str) else Order()
             name = file.filename or "upload"
-            upload = (name, partial(parse_points, await file.read(), name, order.columns))
+            upload = (name, partial(parse_points, await file.read(), name, order.columns, settings.max_points))
     else:
         raise HTTPException(HTTPStatus.UNSUPPORTED_MEDIA_TYPE)
     if order.surface is not None and upload is None:

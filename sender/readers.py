@@ -9,14 +9,21 @@ import zlib
 from collections.abc import Sequence
 from gzip import BadGzipFile, GzipFile
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
-from common.errors import FileFormatError
+from common.errors import FileFormatError, LimitError
 from common.surface import FloatArray, as_points
 
 FORMATS = (".csv", ".txt", ".xyz", ".npy")
 """Endings that are understood; the text formats also compressed, as .gz or .xz."""
+
+NPY_HEADERS = MappingProxyType(
+    {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+)
+"""Version of an NPY file -> what reads its header; the third is for names of columns beyond Latin-1 alone."""
 
 MAX_FILE_BYTES = 1 << 30
 """A file, unpacked: 1 GiB holds about 20 million points as text, more than a laptop's memory holds with working
@@ -38,7 +45,7 @@ def read_points(path: Path, columns: Sequence[str] | None = None) -> FloatArray:
     return parse_points(data, path.name, columns)
 
 
-def parse_points(data: bytes, name: str, columns: Sequence[str] | None = None) -> FloatArray:
+def parse_points(data: bytes, name: str, columns: Sequence[str] | None = None, most: int | None = None) -> FloatArray:
     """The points in the bytes of a file called `name`, shape (n, 3).
 
     Parameters
@@ -51,11 +58,15 @@ def parse_points(data: bytes, name: str, columns: Sequence[str] | None = None) -
     columns : three names, optional
         Which columns of a text file are x, y and z: names, or numbers counted from 0. By default the columns called
         x, y, z, or the only three.
+    most : int, optional
+        Most points accepted; more are refused before they are read.
 
     Raises
     ------
     FileFormatError
         If the format is not known, the bytes are not of the format, or the columns are not there.
+    LimitError
+        If there are more than `most` points.
     PointsError
         If the numbers are not finite.
     """
@@ -64,14 +75,28 @@ def parse_points(data: bytes, name: str, columns: Sequence[str] | None = None) -
     if suffix not in FORMATS:
         raise FileFormatError(f"cannot tell the format of {name!r}; accepted endings are {', '.join(FORMATS)}")
     if suffix == ".npy":
-        try:
-            array = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
-        except (ValueError, EOFError, OSError, MemoryError) as error:
-            raise FileFormatError(f"{name} is not an NPY file of numbers: {error}") from error
-        if array.ndim != 2 or array.shape[1] != 3:
-            raise FileFormatError(f"{name} holds an array of shape {array.shape}; accepted is (n, 3), columns x, y, z")
-        return as_points(array)
-    return as_points(_parse_text(data, name, columns))
+        return as_points(_parse_npy(data, name, most))
+    return as_points(_parse_text(data, name, columns, most))
+
+
+def _parse_npy(data: bytes, name: str, most: int | None) -> np.ndarray[Any, Any]:
+    file = io.BytesIO(data)
+    try:
+        shape, _, _ = NPY_HEADERS[np.lib.format.read_magic(file)](file)
+        _check_count(shape[0] if shape else 1, name, most)
+        array = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+    except LimitError:
+        raise
+    except (KeyError, ValueError, EOFError, OSError, MemoryError) as error:
+        raise FileFormatError(f"{name} is not an NPY file of numbers: {error}") from error
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise FileFormatError(f"{name} holds an array of shape {array.shape}; accepted is (n, 3), columns x, y, z")
+    return array
+
+
+def _check_count(count: int, name: str, most: int | None) -> None:
+    if most is not None and count > most:
+        raise LimitError(f"{name} holds {count} points; at most {most} are accepted")
 
 
 def _unpacked(data: bytes, name: str) -> tuple[bytes, str]:
@@ -88,7 +113,7 @@ def _unpacked(data: bytes, name: str) -> tuple[bytes, str]:
     return data, name
 
 
-def _parse_text(data: bytes, name: str, columns: Sequence[str] | None) -> FloatArray:
+def _parse_text(data: bytes, name: str, columns: Sequence[str] | None, most: int | None) -> FloatArray:
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -100,6 +125,7 @@ def _parse_text(data: bytes, name: str, columns: Sequence[str] | None) -> FloatA
     names = _cells(lines[0], delimiter)
     header = not all(_is_number(cell) for cell in names)
     use = _columns(names, header, columns, name)
+    _check_count(len(lines) - header, name, most)
     try:
         return np.atleast_2d(
             np.loadtxt(lines[1:] if header else lines, delimiter=delimiter, usecols=use, ndmin=2, dtype=np.float64)

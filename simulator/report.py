@@ -451,7 +451,9 @@ def _subject(cells: Sequence[Contest]) -> str:
     own = cells[0].own
     if all(line == own or not line.startswith(NETWORK) for cell in cells for line in cell.distortion):
         return "The network has"
-    return f"Of the network's lines, the one called \u201c{escape(own)}\u201d alone is counted. Against its rivals it has"
+    return (
+        f"Of the network's lines, the one called \u201c{escape(own)}\u201d alone is counted. Against its rivals it has"
+    )
 
 
 def _why(cell: Contest, notes: Mapping[str, str]) -> str:
@@ -491,9 +493,9 @@ def ranking_html(cells: Sequence[Contest]) -> str:
     return table(
         ["line", "cells won", "all", *(_nice_name(s) for s in surfaces)],
         rows,
-        caption=f"Cells {'with harm ' if harm else ''}that each line wins, a line of the network against those that are "
-        f"none, and its median NRMSE over that of {named} (geometric mean over the cells in which both give a surface; "
-        f"above 1 {named} is better).",
+        caption=f"Cells {'with harm ' if harm else ''}that each line wins, a line of the network against those that "
+        f"are none, and its median NRMSE over that of {named} (geometric mean over the cells in which both give a "
+        f"surface; above 1 {named} is better).",
     )
 
 

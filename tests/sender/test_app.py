@@ -187,6 +187,26 @@ def test_a_bad_order_is_a_problem_that_says_what_is_accepted(
     run(use, max_upload_bytes=100_000)
 
 
+@pytest.mark.parametrize(
+    "request_",
+    [
+        {"json": {"surface": "surface-1", "points": 101}},
+        {"files": {"file": ("a.csv", "0,0,1\n1,0,2\n" * 50 + "1,1,1\n")}},
+        {"files": {"file": ("a.csv", "0,0,1\n1,0,2\n" * 50 + "1,1,1\n")}, "data": {"order": '{"points": 50}'}},
+    ],
+)
+def test_a_cloud_of_too_many_points_is_refused_drawn_or_uploaded(request_: dict[str, Any]) -> None:
+    async def use(client: httpx.AsyncClient) -> None:
+        answer = await client.post("/v1/transmissions", **request_)
+        assert answer.status_code == 413
+        assert "101 points" in answer.json()["detail"]
+        assert "at most 100 are accepted" in answer.json()["detail"]
+        enough = await client.post("/v1/transmissions", json={"surface": "surface-1", "points": 100})
+        assert enough.status_code == 202
+
+    run(use, max_points=100)
+
+
 @pytest.mark.parametrize(("method", "path", "status"), [("GET", "/nothing", 404), ("PUT", "/v1/surfaces", 405)])
 def test_wrong_paths_and_methods_are_problems_too(method: str, path: str, status: int) -> None:
     async def use(client: httpx.AsyncClient) -> None:

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.errors import FileFormatError, PointsError, SurfacelinkError
+from common.errors import FileFormatError, LimitError, PointsError, SurfacelinkError
 from sender.readers import parse_points, read_points
 
 POINTS = np.array([[0.0, 1.0, 2.5], [3.0, 4.0, -5.0]])
@@ -46,6 +46,23 @@ def test_each_format_gives_the_same_points(data: bytes, name: str, columns: tupl
 
 
 @pytest.mark.parametrize(
+    ("data", "name"),
+    [(TEXT, "a.csv"), (b"0 1 2.5\n3 4 -5\n", "a.xyz"), (gzip.compress(TEXT), "a.csv.gz"), (npy(POINTS), "a.npy")],
+)
+def test_no_more_points_than_asked_for_are_read(data: bytes, name: str) -> None:
+    np.testing.assert_array_equal(parse_points(data, name, most=2), POINTS)
+    with pytest.raises(LimitError, match="holds 2 points; at most 1"):
+        parse_points(data, name, most=1)
+
+
+def test_a_header_that_promises_too_many_points_is_enough_to_refuse_a_file() -> None:
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**12, 3)})
+    with pytest.raises(LimitError, match="holds 1000000000000 points"):
+        parse_points(header.getvalue(), "a.npy", most=1000)
+
+
+@pytest.mark.parametrize(
     ("data", "name", "message"),
     [
         (TEXT, "a.dat", "accepted endings are .csv"),
@@ -56,6 +73,7 @@ def test_each_format_gives_the_same_points(data: bytes, name: str, columns: tupl
         (b"1,2,3,4\n", "a.csv", "4 columns"),
         (b"\xff\xfe\x00", "a.csv", "not a text file"),
         (b"PK\x03\x04", "a.npy", "not an NPY file"),
+        (b"\x93NUMPY\x03\x00", "a.npy", "not an NPY file"),
         (npy(np.zeros((3, 4))), "a.npy", r"shape \(3, 4\)"),
         (npy(np.array([{}], dtype=object)), "a.npy", "not an NPY file"),
         (b"not gzip", "a.csv.gz", "not a .gz file"),
