@@ -200,8 +200,8 @@ class Trial(Settings):
 
     @property
     def key(self) -> str:
-        """A digest of everything that determines the outcome."""
-        return _digest(self.model_dump_json())
+        """A digest of everything that determines the outcome; of a file, its name too, by which its cloud is drawn."""
+        return _digest(f"{self.surface.label}\n{self.model_dump_json()}")
 
     @property
     def digest(self) -> str:

@@ -171,10 +171,17 @@ class Run(Generic[Task]):
 
         Raises
         ------
+        ParameterError
+            If two tasks have the same key.
         WorkerError
             If a worker process died; what had finished is in the journal.
         """
         keys = [self.stamp + task.key for task in self.tasks]
+        repeated = len(keys) - len(set(keys))
+        if repeated:
+            raise ParameterError(
+                f"{repeated} of {len(keys)} trials repeat another: something in the campaign stands twice"
+            )
         finished = {} if journal is None else {key: journal.finished[key] for key in keys if key in journal.finished}
         todo = {key: task for key, task in zip(keys, self.tasks, strict=True) if key not in finished}
         total = len(finished) + len(todo)

@@ -210,6 +210,22 @@ def test_a_file_is_a_surface_known_by_its_contents(tmp_path: Path) -> None:
     assert float(found[0]["nrmse"] or 1) < 1e-3  # a plane, quantised to 16 bits
 
 
+def test_files_of_equal_contents_are_told_apart_by_their_names(tmp_path: Path) -> None:
+    text = "\n".join(",".join(map(repr, point)) for point in np.random.default_rng(0).random((200, 3)).tolist())
+    for name in ("a.csv", "b.csv"):
+        (tmp_path / name).write_text(text)
+
+    def plan(*names: str) -> Campaign:
+        surfaces = [{"file": name, "points": 100} for name in names]
+        changes = {"surfaces": surfaces, "features": [{"pieces": 5}], "channels": ["clean"], "methods": ["linear"]}
+        return Campaign.build(PLAN | changes | {"seeds": 1}, folder=tmp_path)
+
+    for names in (("a.csv",), ("a.csv", "b.csv"), ("b.csv",)):  # all in one journal
+        rows = run_campaign(plan(*names), tmp_path / "out", workers=1)
+        assert [row["surface"] for row in rows] == list(names)
+        assert rows == rows_of(plan(*names))
+
+
 def test_a_file_needs_a_size_of_pieces(tmp_path: Path) -> None:
     (tmp_path / "f.csv").write_text("0,0,0\n1,0,1\n0,1,2\n1,1,3\n")
     with pytest.raises(ParameterError, match="gap, pieces or budget"):
@@ -262,6 +278,12 @@ def test_a_mistake_is_one_line_that_names_the_key(tmp_path: Path, text: str, nam
 def test_a_campaign_that_is_too_large_is_refused() -> None:
     with pytest.raises(ParameterError, match="at most 1000000"):
         campaign(seeds=100_000, surfaces=["peaks"] * 10)
+
+
+@pytest.mark.parametrize("twice", [{"surfaces": ["peaks", "peaks"]}, {"channels": ["clean", "clean"]}])
+def test_what_stands_twice_is_refused(tmp_path: Path, twice: dict[str, object]) -> None:
+    with pytest.raises(ParameterError, match="stands twice"):
+        run_campaign(campaign(**twice), tmp_path, workers=1)
 
 
 def test_a_missing_file_is_one_clear_error(tmp_path: Path) -> None:

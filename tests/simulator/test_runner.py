@@ -85,6 +85,11 @@ def test_only_what_is_not_in_the_journal_is_run(tmp_path: Path) -> None:
     assert done == list(range(7))
 
 
+def test_two_tasks_of_one_key_are_refused() -> None:
+    with pytest.raises(ParameterError, match="1 of 3 trials repeat another"):
+        Run([Draw(0), Draw(1), Draw(0)], draw).collect()
+
+
 def test_results_of_other_code_are_not_reused(tmp_path: Path) -> None:
     with Journal(tmp_path / "j") as journal:
         Run(TASKS, draw, stamp="old").collect(journal)
