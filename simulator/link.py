@@ -80,6 +80,12 @@ class Link:
         """A link to the receiver that runs at `url`."""
         yield cls(url, httpx.AsyncHTTPTransport)
 
+    def client(self, channel: Channel = Channel()) -> ReceiverClient:
+        """A client of the receiver that sends through `channel`, whose delays pass in virtual time; to be entered."""
+        return ReceiverClient.connect(
+            self._url, ChannelTransport(self.transport(), channel, sleep=_virtual), self._sleep
+        )
+
     async def send(
         self,
         features: FeatureSet,
@@ -117,8 +123,7 @@ class Link:
             As the receiver's problem says.
         """
         packets = encode(features, transmission=transmission, options=options)
-        transport = ChannelTransport(self.transport(), channel, sleep=_virtual)
-        async with ReceiverClient.connect(self._url, transport, self._sleep) as client:
+        async with self.client(channel) as client:
             asked = network.model_dump(exclude_unset=True, exclude_none=True)
             sent = await client.send(packets, transmission=transmission, rounds=rounds, network=asked)
             surface = await client.wait_ready(transmission)

@@ -257,17 +257,19 @@ def _draw_lines(
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:g} %"))
 
 
-def draw_time(rows: Sequence[Row], seconds: Sequence[float]) -> Figure:
-    """Seconds of a reconstruction against the points it was given, a line a method."""
+def draw_time(rows: Sequence[Row], seconds: Sequence[float | None]) -> Figure | None:
+    """Seconds of a reconstruction against the points it was given, a line a method; None where none was measured."""
     cells: dict[str, dict[float, list[float]]] = {}
     for row, taken in zip(rows, seconds, strict=True):
-        if row["failure"] is not None or row["features_received"] is None:
+        if taken is None or row["failure"] is not None or row["features_received"] is None:
             continue
         method = text(row, "method")
         given = number(row, "points" if method.endswith("@cloud") else "features_received")
         # Losses scatter the number of points: binned to a third of an octave, a line stays a line.
         size = 2 ** (round(3 * math.log2(given)) / 3)
         cells.setdefault(method, {}).setdefault(size, []).append(taken)
+    if not cells:
+        return None
     slow_first = sorted(cells, key=lambda name: -float(np.median([t for times in cells[name].values() for t in times])))
     methods = sorted(slow_first, key=lambda name: not name.startswith(NETWORK))[:MAX_LINES]
     sizes_drawn = sorted({size for method in methods for size in cells[method]})
@@ -520,14 +522,15 @@ class Words:
     notes: Mapping[str, str]
 
 
-def render(rows: Sequence[Row], words: Words, seconds: Sequence[float] | None = None) -> str:
+def render(rows: Sequence[Row], words: Words, seconds: Sequence[float | None] | None = None) -> str:
     """The page, as HTML.
 
     Parameters
     ----------
     rows : rows of a campaign's table.
     words : title, lead, command and notes.
-    seconds : time of each row, in the order of `rows`; without it, the plot of times is left out.
+    seconds : time of each row, in the order of `rows`, None where it was not measured; the plot of times is left out
+        where none was.
     """
     sent = [row for row in rows if not str(row["method"]).endswith("@cloud")]
     parts = [f"<h1>{escape(words.title)}</h1>", f'<p class="lead">{escape(words.lead)}</p>', _tried(rows)]
@@ -543,11 +546,12 @@ def render(rows: Sequence[Row], words: Words, seconds: Sequence[float] | None = 
         look = look_of(str(axis))
         parts += [f"<h2>Distortion against {escape(look.label)}</h2>", _curves_html(of_axis, look, lines)]
     parts += _bytes_html(sent)
-    if seconds is not None:
+    times = None if seconds is None else draw_time(rows, seconds)
+    if times is not None:
         parts += [
             "<h2>Time against points</h2>",
             illustration(
-                svg(draw_time(rows, seconds)),
+                svg(times),
                 "Median time of one reconstruction, fit and evaluation on the grid, with one BLAS thread and as many "
                 "processes side by side as the campaign had workers; the figures belong to the machine. The slowest "
                 "methods are drawn.",

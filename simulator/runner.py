@@ -37,13 +37,13 @@ AHEAD = 4
 
 @dataclass(frozen=True)
 class Result:
-    """What a trial found: its rows, and the seconds each of them took.
+    """What a trial found: its rows, and the seconds each of them took, None where that was not measured.
 
     Seconds are kept apart from the rows: they differ from run to run, the rows do not.
     """
 
     rows: tuple[Row, ...]
-    seconds: tuple[float, ...]
+    seconds: tuple[float | None, ...]
 
 
 class WorkerError(SurfacelinkError):

@@ -64,8 +64,8 @@ def run_campaign(
     """Run what the journal in `out` does not hold, then write the table, the times and the report.
 
     ``journal.jsonl`` finished trials; ``table.csv`` (and ``table.parquet`` where pyarrow is installed) the rows;
-    ``cells.csv`` medians and quartiles; ``seconds.csv`` what each row took; ``report.html``; ``environment.json`` what
-    it ran on.
+    ``cells.csv`` medians and quartiles; ``seconds.csv`` what each row took, empty where that was not measured;
+    ``report.html``; ``environment.json`` what it ran on.
     """
     trials = campaign.trials()
     with Journal(out / "journal.jsonl") as journal:
@@ -76,7 +76,9 @@ def run_campaign(
     (out / "cells.csv").write_text(report.cells_csv(rows), "utf-8")
     if find_spec("pyarrow") is not None:
         write_parquet(rows, out / "table.parquet")
-    (out / "seconds.csv").write_text("".join(["seconds\n", *(f"{value:.6f}\n" for value in seconds)]), "utf-8")
+    (out / "seconds.csv").write_text(
+        "".join(["seconds\n", *("\n" if value is None else f"{value:.6f}\n" for value in seconds)]), "utf-8"
+    )
     (out / "environment.json").write_text(json.dumps(environment(workers), indent=1) + "\n", "utf-8")
     words = report.Words(campaign.title or campaign.name, campaign.lead, command, campaign.notes)
     (out / "report.html").write_text(report.render(rows, words, seconds if times else None), "utf-8")

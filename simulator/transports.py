@@ -1,7 +1,8 @@
 """How a campaign's features reach the other end: directly, through the receiver in this process, or over real HTTP.
 
 All three give the same numbers. The direct way is the fastest; the other two go through the product's own client,
-receiver, store and training, and so show that what is simulated is the product.
+receiver, store and training, and so show that what is simulated is the product. What the receiver's own network took is
+not known here.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator
 from contextlib import AbstractAsyncContextManager, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 
@@ -48,30 +49,27 @@ class OverLink:
         rounds: int,
         shape: tuple[int, int],
     ) -> Arrived:
-        """Send, and have the receiver's default network; a surface it cannot train on counts as not arrived."""
+        """Send, and have the receiver's default network where it can be trained on what arrived."""
+        packets = encode(features, transmission=transmission, options=options)
 
         async def send() -> Arrived:
             with tempfile.TemporaryDirectory() as folder:
-                async with self._link(Path(folder)) as link:
-                    outcome = await link.send(
-                        features,
-                        transmission=transmission,
-                        shape=shape,
-                        channel=channel,
-                        options=options,
-                        rounds=rounds,
-                    )
-            arrived = FeatureSet(outcome.features, features.region, features.gap, features.kind, features.units)
-            counts = outcome.sent.receipt.packets
-            return Arrived(
-                arrived, outcome.sent.packets, outcome.sent.bytes, counts.received, counts.damaged, outcome.grid
-            )
+                async with self._link(Path(folder)) as link, link.client(channel) as client:
+                    sent = await client.send(packets, transmission=transmission, rounds=rounds)
+                    counts = sent.receipt.packets
+                    arrived = Arrived(None, sent.packets, sent.bytes, counts.received, counts.damaged)
+                    if not sent.receipt.points:
+                        return arrived
+                    points = await client.features(transmission)
+                    came = FeatureSet(points, features.region, features.gap, features.kind, features.units)
+                    arrived = replace(arrived, features=came)
+                    try:
+                        await client.wait_ready(transmission)
+                    except TrainingError:
+                        return arrived
+                    return replace(arrived, grid=await client.grid(transmission, shape))
 
-        try:
-            return anyio.run(send)
-        except TrainingError:
-            sizes = [len(packet) for packet in encode(features, transmission=transmission, options=options)]
-            return Arrived(None, rounds * len(sizes), rounds * sum(sizes), 0, 0)
+        return anyio.run(send)
 
     def _link(self, folder: Path) -> AbstractAsyncContextManager[Link]:
         return Link.in_process(folder) if self.url is None else Link.over_http(self.url)

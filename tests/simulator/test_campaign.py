@@ -357,6 +357,14 @@ def test_a_raster_is_sent_beside_the_features_at_its_budget() -> None:
     assert set(raster) == set(features) == set(COLUMNS)
 
 
+def test_the_time_of_a_raster_is_left_empty(tmp_path: Path) -> None:
+    for _ in range(2):  # the second time from the journal
+        run_campaign(campaign(**RASTER, channels=["clean"]), tmp_path, workers=1)
+        _, features, raster = (tmp_path / "seconds.csv").read_text().splitlines()
+        assert float(features) > 0
+        assert raster == ""
+
+
 def test_a_raster_meets_a_harm_of_its_own_in_each_sample() -> None:
     sent = {"codec": "scattered_samples", "budget": 900, "datagram": 64}
     rows = rows_of(campaign(**RASTER | {"codecs": [sent], "seeds": 3}, channels=["erasure:p=0.3"]))

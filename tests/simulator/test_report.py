@@ -176,6 +176,13 @@ def test_bytes_and_times_are_drawn_where_they_are_known() -> None:
     assert "Time against points" in html
 
 
+def test_times_that_were_not_measured_are_not_drawn() -> None:
+    timed = report.render(rows(), WORDS, [None] * 6 + [0.5] * 6)
+    assert "Time against points" in timed
+    assert "Time against points" not in report.render(rows(), WORDS, [None] * 12)
+    assert report.draw_time(rows(), [None] * 12) is None
+
+
 def test_bytes_are_compared_with_as_many_bytes_and_a_channel_with_itself() -> None:
     given = [
         row(method=m, sends=f"{s} budget={b}", axis="channel", level=None, channel=channel, nrmse=error)
