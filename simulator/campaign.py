@@ -7,6 +7,7 @@ methods share. Everything here is data; `simulator.trial` runs one trial, `simul
 from __future__ import annotations
 
 import hashlib
+import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -149,10 +150,9 @@ class ChannelSweep(Settings):
         if ("{" in self.spec) != bool(self.levels):
             raise ValueError("levels and a {level}, {z} or {noise} in spec go together")
         for level in self.levels or (0.0,):
-            try:
-                text = self.at(level, extent=1.0, noise=1.0)
-            except (KeyError, IndexError, ValueError) as error:
-                raise ValueError(f"{self.spec!r}: accepted in braces are {{level}}, {{z}}, {{noise}}") from error
+            text = self.at(level, extent=1.0, noise=1.0)
+            if "{" in text or "}" in text:
+                raise ValueError(f"{self.spec!r}: accepted in braces are {{level}}, {{z}}, {{noise}}")
             try:
                 Channel.parse(text)
             except ChannelError as error:
@@ -172,7 +172,8 @@ class ChannelSweep(Settings):
 
     def at(self, level: float, *, extent: float, noise: float) -> str:
         """The short form at one level, for a surface of that range of z and that usual noise."""
-        return self.spec.format(level=repr(level), z=repr(level * extent), noise=repr(level * noise))
+        values = {"{level}": level, "{z}": level * extent, "{noise}": level * noise}
+        return re.sub(r"\{(level|z|noise)\}", lambda found: repr(values[found[0]]), self.spec)
 
 
 def _as_table(key: str) -> BeforeValidator:
