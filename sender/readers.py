@@ -5,8 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import lzma
+import re
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from gzip import BadGzipFile, GzipFile
 from pathlib import Path
 from types import MappingProxyType
@@ -28,6 +29,15 @@ NPY_HEADERS = MappingProxyType(
 MAX_FILE_BYTES = 1 << 30
 """A file, unpacked: 1 GiB holds about 20 million points as text, more than a laptop's memory holds with working
 arrays, and keeps a small compressed file from filling the memory."""
+
+NAMES: Mapping[str, frozenset[str]] = {
+    "x": frozenset({"x", "lon", "long", "longitude", "east", "easting"}),
+    "y": frozenset({"y", "lat", "latitude", "north", "northing"}),
+    "z": frozenset({"z", "height", "elevation", "elev", "altitude", "alt", "depth"}),
+}
+"""What the columns of a text file may be called, in any case, a unit in brackets after it. Depths keep their sign."""
+
+UNDERSTOOD = "; ".join(f"{axis} may be called {', '.join(sorted(names))}" for axis, names in NAMES.items())
 
 
 def read_points(path: Path, columns: Sequence[str] | None = None) -> FloatArray:
@@ -57,7 +67,7 @@ def parse_points(data: bytes, name: str, columns: Sequence[str] | None = None, m
         comment. The text formats may be compressed (.gz, .xz).
     columns : three names, optional
         Which columns of a text file are x, y and z: names, or numbers counted from 0. By default the columns called
-        x, y, z, or the only three.
+        x, y, z or another of `NAMES`; of three columns the one left; the only three, where no name contradicts that.
     most : int, optional
         Most points accepted; more are refused before they are read.
 
@@ -149,18 +159,10 @@ def _is_number(cell: str) -> bool:
 
 
 def _columns(names: list[str], header: bool, wanted: Sequence[str] | None, name: str) -> tuple[int, int, int]:
+    if wanted is None:
+        return _named(names if header else [""] * len(names), name)
     known = {label.lower(): index for index, label in enumerate(names)} if header else {}
     known |= {str(index): index for index in range(len(names))}
-    if wanted is None:
-        if {"x", "y", "z"} <= known.keys():
-            wanted = ("x", "y", "z")
-        elif len(names) == 3:
-            wanted = ("0", "1", "2")
-        else:
-            raise FileFormatError(
-                f"{name} has {len(names)} columns ({', '.join(names[:8])}{', ...' if len(names) > 8 else ''}), "
-                "none called x, y, z; say which they are, for example columns = 0,1,2"
-            )
     missing = [label for label in wanted if label.lower() not in known]
     if missing or len(wanted) != 3:
         raise FileFormatError(
@@ -168,4 +170,23 @@ def _columns(names: list[str], header: bool, wanted: Sequence[str] | None, name:
             f"or 0 to {len(names) - 1}"
         )
     x, y, z = (known[label.lower()] for label in wanted)
+    return x, y, z
+
+
+def _named(labels: list[str], name: str) -> tuple[int, int, int]:
+    bare = [re.sub(r"[(\[].*", "", label).strip().lower() for label in labels]
+    axes = [next((axis for axis, accepted in NAMES.items() if label in accepted), "") for label in bare]
+    if len(axes) == 3 and all(axis in ("", place) for axis, place in zip(axes, NAMES, strict=True)):
+        return 0, 1, 2
+    if len(axes) == 3 and axes.count("") == 1 and len(set(axes)) == 3:
+        axes = [axis or next(iter(NAMES.keys() - axes)) for axis in axes]
+    # The plain name goes before the others: x, y, z beside lon and lat.
+    found = [(bare if axis in bare else axes, axis) for axis in NAMES]
+    if any(names.count(axis) != 1 for names, axis in found):
+        shown = ", ".join(labels[:8]) + (", ..." if len(labels) > 8 else "")
+        raise FileFormatError(
+            f"{name} has {len(labels)} columns{f' ({shown})' if any(labels) else ''}, and which of them are x, y and z "
+            f"is not clear; {UNDERSTOOD}; or say which they are, for example columns = 0,1,2"
+        )
+    x, y, z = (names.index(axis) for names, axis in found)
     return x, y, z

@@ -35,6 +35,12 @@ def npy(array: np.ndarray) -> bytes:
         (b"\xef\xbb\xbfx\ty\tz\tnote\n0\t1\t2.5\t1\n3\t4\t-5\t1\n", "a.txt", None),
         (b"lon,lat,depth,date\n0,1,2.5,9\n3,4,-5,9\n", "a.csv", ("LON", "lat", "depth")),
         (b"9,0,1,2.5\n9,3,4,-5\n", "a.csv", ("1", "2", "3")),
+        (b"depth,x,y\n2.5,0,1\n-5,3,4\n", "a.csv", None),
+        (b"lat,lon,elev\n1,0,2.5\n4,3,-5\n", "a.csv", None),
+        (b"Northing (m),gravity,Easting (m)\n1,2.5,0\n4,-5,3\n", "a.csv", None),
+        (b"lat,lon,x,y,date,Depth [m]\n9,9,0,1,9,2.5\n9,9,3,4,9,-5\n", "a.csv", None),
+        (b"a,b,c\n0,1,2.5\n3,4,-5\n", "a.csv", None),
+        (b"a,b,z\n0,1,2.5\n3,4,-5\n", "a.csv", None),
         (gzip.compress(TEXT, mtime=0), "a.csv.gz", None),
         (lzma.compress(TEXT), "a.csv.xz", None),
         (npy(POINTS), "a.npy", None),
@@ -83,6 +89,13 @@ def test_a_header_that_promises_too_many_points_is_enough_to_refuse_a_file() -> 
 def test_a_file_that_holds_no_points_says_why(data: bytes, name: str, message: str) -> None:
     with pytest.raises(FileFormatError, match=message):
         parse_points(data, name)
+
+
+@pytest.mark.parametrize("header", ["z,a,b", "x,x,y", "x,lat,long", "lon,lat,height,depth", "y,x,z,z", "y,a,b"])
+def test_names_that_leave_the_axes_open_are_refused(header: str) -> None:
+    row = ",".join("123456"[: header.count(",") + 1])
+    with pytest.raises(FileFormatError, match=r"not clear; x may be called .*longitude.*columns = 0,1,2"):
+        parse_points(f"{header}\n{row}\n".encode(), "a.csv")
 
 
 def test_columns_that_are_not_there_are_named() -> None:
