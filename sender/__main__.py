@@ -26,7 +26,7 @@ from sender.client import ReceiverClient, Sent
 from sender.features import Extracted, Repeated
 from sender.readers import read_points
 from sender.settings import Settings
-from sender.surfaces import SURFACES
+from sender.surfaces import SURFACES, names_file
 from sender.transmission import Order, Prepared, deliver, prepare
 from sender.transport import ChannelTransport
 
@@ -106,7 +106,7 @@ def send(
     wire["inner"] = inner
     wire["precision"] = int(precision) if precision.isdigit() else precision
     path = Path(what)
-    is_file = what not in SURFACES and (path.exists() or len(path.parts) > 1 or bool(path.suffix))
+    is_file = names_file(what)
     order = _order(
         surface=None if is_file else what,
         id=name,

@@ -26,6 +26,9 @@ EMPTY_PIECES = 100
 """Pieces a point on average at most: beyond that nearly every piece is empty, every point a feature, and the gap a
 mistake."""
 
+USUAL_PIECES = 1024
+"""Pieces that a region is cut into where nothing says how large they are: about 2,000 feature points."""
+
 COLLINEAR = 1e-10
 """Points whose extent across their main direction is below this share of that along it lie on one line: the square
 root of the rounding of coordinates that carry an offset 10^6 times their extent."""
@@ -98,6 +101,20 @@ def piece_of(points: FloatArray, region: Region, gap: float) -> IntArray:
     return np.asarray(row * columns + column, dtype=np.int64)
 
 
+def suitable_gap(points: FloatArray, region: Region) -> float:
+    """The segment gap for points, shape (n, 3), of which nothing says how large their pieces should be.
+
+    It cuts the region into `USUAL_PIECES`; where that would leave nearly all of them empty, into fewer.
+    """
+    area, longer = region.width * region.height, max(region.width, region.height)
+    gap = math.sqrt(area / USUAL_PIECES)
+    most = EMPTY_PIECES * len(points)
+    if math.prod(region.pieces(gap)) > most:
+        # Whole rows and columns are at most (width / gap + 1) (height / gap + 1) pieces: below `most` with these two.
+        gap = max(2 * math.sqrt(area / most), 4 * longer / most)
+    return gap
+
+
 def extract_features(
     points: npt.ArrayLike,
     *,
@@ -117,7 +134,7 @@ def extract_features(
     points : array_like, shape (n, 3)
         x, y, z of the cloud, in any order: the result does not depend on it.
     gap : float or None
-        Side of a piece (segment gap), in the units of x and y; None, and not used, for the kind "cloud".
+        Side of a piece (segment gap), in the units of x and y; None for `suitable_gap`. Not used for the kind "cloud".
     kind : {"extrema", "lattice", "cloud"}
         "lattice" takes one point a piece, in the middle of it, so that positions need not be sent; its height is
         interpolated linearly between the points (beyond their convex hull: that of the nearest). Where `gap` does not
@@ -162,7 +179,7 @@ def extract_features(
     if kind not in get_args(Extracted):
         raise ParameterError(f"kind {kind!r} cannot be extracted; accepted are {', '.join(get_args(Extracted))}")
     if gap is None:
-        raise ParameterError("pieces need a segment gap")
+        gap = suitable_gap(points, region)
     rows, columns = region.pieces(gap)
     if rows * columns > EMPTY_PIECES * len(points):
         usual = math.sqrt(2 * region.width * region.height / len(points))
@@ -180,7 +197,11 @@ def extract_features(
 
 
 def linear_heights(points: FloatArray, region: Region) -> Heights:
-    """Heights between points, shape (n, 3), linear on triangles; beyond their convex hull that of the nearest."""
+    """Heights between points, shape (n, 3), linear on triangles; beyond their convex hull that of the nearest.
+
+    Raises PointsError where the points are no surface (see `check_surface`).
+    """
+    points = check_surface(points)
     low, extent = np.array([region.x_min, region.y_min]), np.array([region.width, region.height])
     # A region far from square would have its triangles judged by slivers.
     scaled = (points[:, :2] - low) / extent

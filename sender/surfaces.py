@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol
 
@@ -252,6 +253,12 @@ def find_surface(name: str) -> Surface:
         close = difflib.get_close_matches(name, SURFACES, n=1)
         hint = f"did you mean {close[0]}? " if close else ""
         raise NotFoundError(f"no surface is called {name!r}; {hint}known are {', '.join(SURFACES)}") from None
+
+
+def names_file(name: str) -> bool:
+    """Whether a name is meant as that of a file: there is one, or the name has a folder or an ending."""
+    path = Path(name)
+    return name not in SURFACES and (path.exists() or len(path.parts) > 1 or bool(path.suffix))
 
 
 def sample(name: str, n: int | None, rng: np.random.Generator) -> FloatArray:

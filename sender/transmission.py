@@ -19,9 +19,6 @@ from sender.client import ReceiverClient, Sent
 from sender.features import Extracted, Repeated, extract_features
 from sender.surfaces import find_surface
 
-PIECES_OF_A_FILE = 1024
-"""Pieces that a file's region is cut into unless a gap is given: about 2,000 feature points."""
-
 TransmissionId: TypeAlias = Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,64}$", examples=["surface-1"])]
 
 
@@ -87,19 +84,13 @@ def prepare(order: Order, upload: tuple[str, Callable[[], FloatArray]] | None = 
             if order.points > len(cloud):
                 raise ParameterError(f"{name} holds {len(cloud)} points; {order.points} were asked for")
             cloud = np.random.default_rng(order.seed).permutation(cloud)[: order.points]
-        gap = order.gap or _usual_gap(cloud)
+        gap = order.gap
     else:
         raise ParameterError("name a surface or give a file: one of the two")
     features = extract_features(cloud, gap=gap, kind=order.kind, region=region, repeated=order.repeated, units=units)
     transmission = order.id or transmission_id(name)
     packets, cost = encode_with_cost(features, transmission=transmission, options=order.wire)
     return Prepared(transmission, len(cloud), features, packets, cost)
-
-
-def _usual_gap(cloud: FloatArray) -> float | None:
-    extent = np.ptp(cloud[:, :2], axis=0) if len(cloud) else np.zeros(2)
-    # Where the extent is zero, the check of the cloud says what is wrong with it.
-    return float(np.sqrt(extent.prod() / PIECES_OF_A_FILE)) or None
 
 
 def transmission_id(name: str) -> str:

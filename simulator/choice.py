@@ -9,7 +9,7 @@ import numpy as np
 from common.errors import ParameterError
 from common.surface import FeatureSet, FloatArray, Region
 from common.wire import WireOptions, encode
-from sender.features import extract_features, lattice, linear_heights, merge_repeated
+from sender.features import extract_features, lattice, linear_heights, merge_repeated, suitable_gap
 from simulator.campaign import FeatureSettings
 
 
@@ -26,30 +26,28 @@ def choose_features(
     wire : WireOptions
         What a budget is counted with.
     usual_gap : float or None
-        The gap where the settings give no size.
+        The gap where the settings give no size; None for `suitable_gap`.
 
     Raises
     ------
     ParameterError
-        If nothing says how large the pieces are, or nothing fits into the budget.
+        If nothing fits into the budget.
     """
     longer = max(region.width, region.height)
 
     if settings.kind == "lattice":
         # Triangulated once; a budget tries several lattices.
-        heights = linear_heights(merge_repeated(cloud), region)
+        points = merge_repeated(cloud)
+        heights = linear_heights(points, region)
 
-    def extract(gap: float) -> FeatureSet:
+    def extract(gap: float | None) -> FeatureSet:
         if settings.kind == "lattice":
-            return lattice(heights, gap, region)
+            return lattice(heights, gap or suitable_gap(points, region), region)
         return extract_features(cloud, gap=gap, kind=settings.kind, region=region)
 
     if settings.budget is not None:
         return _finest(lambda pieces: extract(longer / pieces), len(cloud), settings.budget, wire)
-    gap = longer / settings.pieces if settings.pieces is not None else settings.gap or usual_gap
-    if gap is None:
-        raise ParameterError("features of a file or a field need gap, pieces or budget")
-    return extract(gap)
+    return extract(longer / settings.pieces if settings.pieces is not None else settings.gap or usual_gap)
 
 
 def _finest(extract: Callable[[int], FeatureSet], points: int, budget: int, wire: WireOptions) -> FeatureSet:

@@ -22,6 +22,7 @@ from rich.console import Console
 import common
 import sender
 import simulator
+from sender.surfaces import names_file
 from simulator import report
 from simulator.campaign import Campaign
 from simulator.progress import progress_bar
@@ -113,10 +114,10 @@ def plan_of_options(
     grid: str | None,
     rounds: int | None,
 ) -> dict[str, Any]:
-    """The keys of a campaign that options give; a name that ends like a file is a file."""
+    """The keys of a campaign that options give; files are relative to where the command runs."""
     plan: dict[str, Any] = {}
     if surface:
-        plan["surfaces"] = [{"file": name} if Path(name).suffix and Path(name).exists() else name for name in surface]
+        plan["surfaces"] = [{"file": Path(name).absolute()} if names_file(name) else name for name in surface]
     features = {"points": points, "gap": gap, "pieces": pieces, "budget": budget}
     given = {key: value for key, value in features.items() if value is not None}
     if given:

@@ -104,12 +104,24 @@ def test_a_cloud_that_is_no_surface_is_refused(cloud: FloatArray, message: str) 
         (100.0, "larger than the region"),
         (0.001, "at most"),
         (0.05, r"nearly all of them empty; choose about 1\.2, or at least 0\.083"),
-        (None, "need a segment gap"),
     ],
 )
 def test_a_gap_that_does_not_fit_is_refused(gap: float | None, message: str) -> None:
     with pytest.raises(ParameterError, match=message):
         extract_features(LATTICE, gap=gap)
+
+
+@pytest.mark.parametrize(("n", "longer"), [(3, 1.0), (10, 1.0), (11, 1.0), (200, 1e6), (3, 1e8)])
+def test_without_a_gap_every_cloud_has_one_that_fits(n: int, longer: float) -> None:
+    cloud = np.random.default_rng(n).random((n, 3)) * (longer, 1.0, 1.0)
+    features = extract_features(np.vstack([cloud, cloud]), gap=None)
+    assert len(features) > n / 2
+
+
+def test_without_a_gap_a_region_has_as_many_pieces_as_usual() -> None:
+    cloud = np.random.default_rng(0).random((11, 3)) * (3e3, 1e3, 1.0)
+    width, height = np.ptp(cloud[:, :2], axis=0)
+    assert extract_features(cloud, gap=None).gap == np.sqrt(width * height / 1024)
 
 
 def test_points_outside_of_the_region_are_refused() -> None:

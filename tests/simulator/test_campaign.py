@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from common.errors import FileFormatError, ParameterError
+from common.errors import FileFormatError, ParameterError, PointsError
 from common.surface import Region
 from common.wire import WireOptions
 from sender.features import extract_features
@@ -31,6 +31,11 @@ PLAN: dict[str, Any] = {
 
 def campaign(**changes: object) -> Campaign:
     return Campaign.build(PLAN | changes)
+
+
+def options_of(**given: Any) -> dict[str, Any]:
+    names = ("surface", "channel", "method", "points", "gap", "pieces", "budget", "seeds", "seed", "grid", "rounds")
+    return plan_of_options(**{**dict.fromkeys(names), **given})
 
 
 def rows_of(plan: Campaign) -> list[dict[str, Cell]]:
@@ -226,10 +231,11 @@ def test_files_of_equal_contents_are_told_apart_by_their_names(tmp_path: Path) -
         assert rows == rows_of(plan(*names))
 
 
-def test_a_file_needs_a_size_of_pieces(tmp_path: Path) -> None:
-    (tmp_path / "f.csv").write_text("0,0,0\n1,0,1\n0,1,2\n1,1,3\n")
-    with pytest.raises(ParameterError, match="gap, pieces or budget"):
-        rows_of(Campaign.build(PLAN | {"surfaces": [{"file": "f.csv"}]}, folder=tmp_path))
+def test_a_file_that_is_no_surface_says_so(tmp_path: Path) -> None:
+    (tmp_path / "f.csv").write_text("0,0,0\n1,1,1\n2,2,2\n")
+    plan = campaign(surfaces=[{"file": tmp_path / "f.csv"}], channels=["clean"])
+    with pytest.raises(PointsError, match="on one line"):
+        run_trial(plan.trials()[0])
 
 
 HEAD = "surfaces = ['peaks']\n"
@@ -296,13 +302,39 @@ def test_a_missing_file_is_one_clear_error(tmp_path: Path) -> None:
         Campaign.load(tmp_path / "none.toml")
 
 
+@pytest.mark.parametrize("kind", ["extrema", "lattice"])
+def test_a_file_of_an_option_has_the_gap_that_the_sender_takes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    cloud = np.random.default_rng(0).random((300, 3))
+    np.savetxt(tmp_path / "survey.csv", cloud, delimiter=",")
+    monkeypatch.chdir(tmp_path)
+    plan = campaign(
+        **options_of(surface=["survey.csv"]), features=[{"kind": kind}], channels=["clean"], methods=["linear"], seeds=1
+    )
+    (row,) = rows_of(plan)
+    expected = extract_features(cloud, gap=None, kind=kind)  # type: ignore[arg-type]
+    assert (row["surface"], row["gap"], row["features"]) == ("survey.csv", expected.gap, len(expected))
+
+
+def test_a_file_of_an_option_is_where_the_command_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "plans").mkdir()
+    (tmp_path / "plans" / "plan.toml").write_text(CLEAN)
+    (tmp_path / "survey.csv").write_text("0,0,1\n0,1,2\n1,0,3\n1,1,4\n")
+    monkeypatch.chdir(tmp_path)
+    plan = Campaign.load(Path("plans/plan.toml"), options_of(surface=["survey.csv"]))
+    assert plan.surfaces[0].content
+
+
+def test_a_file_of_an_option_that_is_not_there_is_said_to_be_missing() -> None:
+    with pytest.raises(ParameterError, match=r"cannot read .*nosuch\.csv: No such file"):
+        campaign(**options_of(surface=["nosuch.csv"]))
+
+
 def test_options_go_before_the_file(tmp_path: Path) -> None:
     path = tmp_path / "plan.toml"
     path.write_text("surfaces = ['peaks']\nchannels = ['clean']\nseeds = 3\n")
-    options = plan_of_options(
-        surface=["surface-1"], channel=None, method=["cubic"], points=None, gap=0.5, pieces=None, budget=None,
-        seeds=7, seed=None, grid="20x30", rounds=2,
-    )  # fmt: skip
+    options = options_of(surface=["surface-1"], method=["cubic"], gap=0.5, seeds=7, grid="20x30", rounds=2)
     plan = Campaign.load(path, options)
     assert (plan.seeds, plan.grid, plan.rounds, plan.methods) == (7, (20, 30), 2, ("cubic",))
     assert plan.surfaces[0].name == "surface-1"
