@@ -39,6 +39,17 @@ class PacketsNamed(PacketCounts):
     )
 
 
+class Delivery(BaseModel):
+    """What one POST brought."""
+
+    model_config = ConfigDict(frozen=True)
+
+    new: int = Field(description="Packets that were not here before.")
+    duplicate: int = Field(description="Packets that were here already.")
+    damaged: int = Field(description="Packets that arrived damaged and were dropped.")
+    foreign: int = Field(description="Packets of another transmission.")
+
+
 class Receipt(BaseModel):
     """What the receiver holds of a transmission after a POST."""
 
@@ -49,3 +60,4 @@ class Receipt(BaseModel):
     points: int = Field(description="Feature points held.")
     complete: bool = Field(description="Whether every packet has arrived.")
     state: State
+    delivery: Delivery | None = Field(default=None, description="What the POST brought.")

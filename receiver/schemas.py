@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -11,6 +11,8 @@ from common.messages import PacketCounts, State
 from common.problems import Problem
 from common.surface import Region, Units
 from receiver.store import Row
+
+Delivery: TypeAlias = messages.Delivery
 
 
 class Answer(BaseModel):
@@ -64,15 +66,6 @@ class Progress(Answer):
     fraction: float = Field(description="How much of the stage is done, 0 to 1.", ge=0, le=1)
 
 
-class Delivery(Answer):
-    """What one POST brought."""
-
-    new: int = Field(description="Packets that were not here before.")
-    duplicate: int = Field(description="Packets that were here already.")
-    damaged: int = Field(description="Packets that arrived damaged and were dropped.")
-    foreign: int = Field(description="Packets of another transmission.")
-
-
 class Links(Answer):
     """Where to go from here."""
 
@@ -98,7 +91,7 @@ class Links(Answer):
 class Receipt(messages.Receipt):
     """The answer to a transmission."""
 
-    delivery: Delivery
+    delivery: Delivery = Field(description="What the POST brought.")
     links: Links
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -128,7 +129,7 @@ def send(
         f"{len(prepared.packets)} packets, {prepared.cost.total} bytes"
         + (f", {prepared.cost.protection} of them for protection" if prepared.cost.protection else "")
     )
-    sent = anyio.run(_send, prepared, order, receiver, harm, wait)
+    sent, trained = anyio.run(_send, prepared, order, receiver, harm, wait)
     counts = sent.receipt.packets
     total = "?" if counts.total is None else counts.total
     console.print(
@@ -137,16 +138,35 @@ def send(
         f"holds {sent.receipt.points} points",
         soft_wrap=True,
     )
-    console.print(f"curl {receiver.rstrip('/')}/v1/surfaces/{prepared.id}", highlight=False, soft_wrap=True)
+    address = f"{receiver.rstrip('/')}/v1/surfaces/{prepared.id}"
+    delivery = sent.receipt.delivery
+    if delivery is not None and delivery.duplicate and not delivery.new:
+        console.print(
+            "nothing new: every packet had arrived before; of its copies an unaltered one is kept, else the first. "
+            f"To send anew take another --id, or remove what is there: curl -X DELETE {address}",
+            highlight=False,
+            soft_wrap=True,
+        )
+    for line in _told(trained):
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    console.print(f"curl {address}", highlight=False, soft_wrap=True)
 
 
-async def _send(prepared: Prepared, order: Order, receiver: str, channel: Channel, wait: bool) -> Sent:
+def _told(surface: Mapping[str, Any]) -> list[str]:
+    """What is worth a word of a surface that was trained: points set aside, notes of the network."""
+    network = surface.get("network") or {}
+    aside = len(network.get("outliers", ()))
+    lines = [f"network: {aside} of {surface.get('points')} points set aside as outliers"] if aside else []
+    return lines + [f"network: {note}" for note in network.get("notes", ())]
+
+
+async def _send(
+    prepared: Prepared, order: Order, receiver: str, channel: Channel, wait: bool
+) -> tuple[Sent, Mapping[str, Any]]:
     transport = ChannelTransport(httpx.AsyncHTTPTransport(), channel) if channel else None
     async with ReceiverClient.connect(receiver, transport) as client:
         sent = await deliver(prepared, order, client)
-        if wait:
-            await client.wait_ready(prepared.id)
-        return sent
+        return sent, await client.wait_ready(prepared.id) if wait else {}
 
 
 def _order(**fields: Any) -> Order:

@@ -18,6 +18,12 @@ from common.wire.points import Written, check_block, decode_packets
 
 Arrival: TypeAlias = Literal["new", "duplicate", "foreign"]
 
+WAY_OUT = (
+    "an earlier transmission under this id holds other points; take another id, or remove it first "
+    "(DELETE /v1/surfaces/{id})"
+)
+"""What to do about a conflict."""
+
 
 class Reassembly:
     """What arrived of one transmission.
@@ -178,13 +184,13 @@ def _rank(packet: Packet) -> tuple[bool, int, bytes]:
 def _require_agreement(known: Header, other: Header) -> None:
     if known.about() != other.about():
         raise ConflictError(
-            f"a packet belongs to another feature set of the same transmission: it says {other.total} packets over "
-            f"{other.region.bounds}, those before it {known.total} over {known.region.bounds}"
+            f"a packet belongs to another feature set: it says {other.total} packets over {other.region.bounds}, those "
+            f"before it {known.total} over {known.region.bounds}; {WAY_OUT}"
         )
     if not known.altered and not other.altered and (known.form, known.grid) != (other.form, other.grid):
-        raise ConflictError("a packet writes its points in another form than those before it")
+        raise ConflictError(f"a packet writes its points in another form than those before it; {WAY_OUT}")
 
 
 def _require_same_points(known: Packet, other: Packet) -> None:
     if not known.header.altered and not other.header.altered and known.block != other.block:
-        raise ConflictError(f"two packets are number {other.sequence} of the transmission, with other points each")
+        raise ConflictError(f"two packets are number {other.sequence}, with other points each; {WAY_OUT}")

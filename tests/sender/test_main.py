@@ -6,11 +6,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 
 from sender.__main__ import main
 from sender.client import ReceiverClient, RetryPolicy, Sent
 
+SUMMARY = {"outliers": [3, 7], "notes": ["the spread [narrowest] stays"]}
 NOWHERE = ["--receiver", "http://127.0.0.1:9"]  # the discard port: nothing listens there
 
 
@@ -133,3 +135,25 @@ def test_every_option_of_send_reaches_the_order(
     assert (order["wire"]["datagram"], order["wire"]["precision"]) == (300, "float32")
     assert seen["prepared"].cloud == 40
     assert seen["receiver"] == "http://r.test"
+
+
+@pytest.mark.parametrize(("new", "repeats"), [(2, 0), (0, 1)])
+def test_send_says_what_was_kept_and_what_the_network_left_out(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], new: int, repeats: int
+) -> None:
+    def receive(request: httpx.Request) -> httpx.Response:
+        if request.method == "GET":
+            return httpx.Response(200, json={"state": "ready", "points": 50, "network": SUMMARY})
+        counts = {"received": 2, "damaged": 0, "duplicate": 2 - new, "total": 2, "missing": []}
+        delivery = {"new": new, "duplicate": 2 - new, "damaged": 0, "foreign": 0}
+        receipt = {"id": "a", "points": 50, "complete": True, "state": "training"}
+        return httpx.Response(202, json={**receipt, "packets": counts, "delivery": delivery})
+
+    def connect(url: str, _transport: object) -> ReceiverClient:
+        return ReceiverClient(httpx.AsyncClient(base_url=url, transport=httpx.MockTransport(receive)))
+
+    monkeypatch.setattr(ReceiverClient, "connect", connect)
+    status, out, _ = run(monkeypatch, capsys, "send", "surface-1", "--wait", *NOWHERE)
+    assert status == 0
+    assert out.count("curl -X DELETE http://127.0.0.1:9/v1/surfaces/surface-1") == repeats
+    assert "2 of 50 points set aside as outliers\nnetwork: the spread [narrowest] stays\n" in out

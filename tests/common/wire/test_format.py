@@ -225,6 +225,6 @@ def test_contradictions_are_conflicts() -> None:
         (packet, *_) = PacketDecoder().feed(
             b"".join(encode(other, transmission="t", options=WireOptions.model_validate(options)))
         )
-        with pytest.raises(ConflictError):
+        with pytest.raises(ConflictError, match="take another id, or remove it"):
             reassembly.add(packet)
         assert issubclass(PacketError, WireError)
