@@ -24,6 +24,8 @@ pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
 
 ROOT = Path(__file__).resolve().parents[2]
 
+USUAL = Region(-2, 2, -1, 1)
+
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 
 ARGUMENTS = [
@@ -66,8 +68,8 @@ def receiver(tmp_path: Path) -> Iterator[str]:
     assert status in (0, -15)
 
 
-def send(receiver: str, name: str, points: np.ndarray) -> None:
-    features = FeatureSet(points, Region(-2, 2, -1, 1), gap=0.5, kind="cloud", units=Units("m", "m"))
+def send(receiver: str, name: str, points: np.ndarray, region: Region = USUAL) -> None:
+    features = FeatureSet(points, region, gap=0.5, kind="cloud", units=Units("m", "m"))
     answer = httpx.post(
         f"{receiver}/v1/transmissions/{name}",
         content=b"".join(encode(features, transmission=name)),
@@ -168,6 +170,31 @@ def test_what_is_shown_can_be_chosen(page: Page, receiver: str, points: np.ndarr
     changed()
     page.locator("#theme").click()
     assert page.locator("html").get_attribute("data-theme") == "dark"
+
+
+def test_labels_tell_apart_what_is_far_from_the_origin(page: Page, receiver: str, points: np.ndarray) -> None:
+    """A survey of 4 x 2 m in UTM coordinates, with heights within 1 m."""
+    page.evaluate("""() => {
+        const draw = CanvasRenderingContext2D.prototype.fillText;
+        window.written = new Set();
+        CanvasRenderingContext2D.prototype.fillText = function (text, ...at) {
+            window.written.add(text);
+            draw.call(this, text, ...at);
+        };
+    }""")
+    origin, extent = (500_000, 4_100_000, 1_200), (1, 1, 0.1)
+    region = Region(499_998, 500_002, 4_099_999, 4_100_001)
+    send(receiver, "plot", (points - (0, 0, 100)) * extent + origin, region)
+    page.locator('canvas[data-drawn="plot map z"]').wait_for()
+    numbers = {float(text) for text in page.evaluate("[...window.written]") if re.fullmatch(r"[\d.]+", text)}
+    for low, high in ((1_199, 1_201), (499_998, 500_002), (4_099_999, 4_100_001)):
+        ticks = sorted(number for number in numbers if low <= number <= high)
+        assert len(ticks) >= 3
+        np.testing.assert_allclose(np.diff(ticks), np.diff(ticks)[0], rtol=1e-6)
+    assert "499998 … 500002 m" in page.get_by_text("499998").inner_text()
+    page.locator("#as-3d").click()
+    page.locator('canvas[data-drawn="plot 3d z"]').wait_for()
+    assert "y 4099999 … 4100001 m" in page.evaluate("[...window.written]")
 
 
 def test_downloads_and_curl_lines_work(page: Page, receiver: str, points: np.ndarray) -> None:
