@@ -40,7 +40,10 @@ WIDTH, DPI = 8.0, 125
 """Size of a framed picture: inches, and pixels of one; 1,000 pixels across."""
 
 MARGINS = (0.85, 1.25, 0.62, 0.45)
-"""Inches left, right, below and above the map."""
+"""Inches left, right, below and above the map; more at the sides where numbers are long."""
+
+EDGE = 0.08
+"""Inches that stay free at the sides."""
 
 _drawing = threading.Lock()  # matplotlib's text layout keeps caches that are not for threads
 
@@ -97,7 +100,9 @@ def _with_unit(name: str, unit: str) -> str:
 
 
 def _plain(axes: Axes) -> None:
-    """No frame, quiet ticks."""
+    """No frame, quiet ticks, and numbers in full: survey coordinates are far from the origin."""
+    axes.ticklabel_format(useOffset=False, scilimits=(-4, 9))
+    axes.yaxis.get_offset_text().set_horizontalalignment("right")  # not across the title
     axes.tick_params(length=3, color="0.6", labelcolor="0.25", labelsize=9)
     for spine in axes.spines.values():
         spine.set_visible(False)
@@ -120,7 +125,7 @@ def framed(grid: HeightGrid, name: str, style: Style) -> bytes:
             axes.contour(
                 grid.x, grid.y, grid.z, levels=levels, colors="black", linestyles="solid", linewidths=0.5, alpha=0.25
             )
-        figure.text(
+        title = figure.text(
             left / WIDTH,
             1 - 0.3 / total,
             name,
@@ -138,6 +143,11 @@ def framed(grid: HeightGrid, name: str, style: Style) -> bytes:
         _plain(bar)
         buffer = io.BytesIO()
         FigureCanvasAgg(figure)
+        shift = max(0.0, EDGE - (axes.get_tightbbox() or axes.bbox).x0 / DPI)
+        cut = max(0.0, EDGE - WIDTH + (bar.get_tightbbox() or bar.bbox).x1 / DPI)
+        title.set_x((left + shift) / WIDTH)
+        axes.set_position(((left + shift) / WIDTH, below / total, (width - shift - cut) / WIDTH, height / total))
+        bar.set_position(((WIDTH - right - cut + 0.18) / WIDTH, below / total, 0.2 / WIDTH, height / total))
         figure.savefig(buffer, format="png", metadata={"Software": "surfacelink"})
     return buffer.getvalue()
 

@@ -1,11 +1,12 @@
 from __future__ import annotations
 
 import io
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 from matplotlib import colormaps
+from matplotlib.figure import Figure
 from PIL import Image
 
 from common.surface import HeightGrid, Units
@@ -94,3 +95,27 @@ def test_a_name_is_no_markup() -> None:
 def test_palettes_are_the_type() -> None:
     assert get_args(Palette) == PALETTES
     assert set(PALETTES) <= set(colormaps)
+
+
+def test_survey_coordinates_are_written_in_full_and_within_the_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    figures: list[Figure] = []
+    save = Figure.savefig
+
+    def keep(figure: Figure, *arguments: Any, **options: Any) -> None:
+        figures.append(figure)
+        save(figure, *arguments, **options)
+
+    monkeypatch.setattr(Figure, "savefig", keep)
+    survey = HeightGrid(500_000 + 2 * X, 4_100_000 + 3 * Y, 1_200 + 0.1 * np.sin(3 * X) * np.cos(4 * Y[:, None]))
+    pixels = np.asarray(opened(picture(survey, "plot", Style())))
+    assert np.all(pixels[:, [0, -1], :3] == 255)
+    axes, bar = figures[0].axes
+    for axis, low, high in (
+        (axes.xaxis, 500_000, 500_004),
+        (axes.yaxis, 4_100_000, 4_100_003),
+        (bar.yaxis, 1199, 1201),
+    ):
+        assert axis.get_offset_text().get_text() == ""
+        labels = [float(label.get_text()) for label in axis.get_ticklabels()]
+        assert len(labels) >= 3
+        assert all(low <= label <= high for label in labels)
