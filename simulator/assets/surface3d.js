@@ -84,11 +84,17 @@
     label(g, ratio) {
       const [x0, x1, y0, y1, z0, z1] = this.data.range, show = (v) => String(+v.toPrecision(3));
       g.font = `${11 * ratio}px system-ui, "DejaVu Sans", sans-serif`; g.fillStyle = "#5b6675"; g.textAlign = "center"; g.textBaseline = "middle";
-      const low = this.data.flat ? 0 : -0.62, at = (p, text) => { const c = this.project(p); g.fillText(text, c[0], c[1]); };
+      g.strokeStyle = "rgba(255,255,255,.85)"; g.lineWidth = 3 * ratio; g.lineJoin = "round";
+      // Within the canvas, legible on the surface; `up` keeps the heights off the labels of the corner they stand on.
+      const low = this.data.flat ? 0 : -0.62, at = (p, text, up = 0) => {
+        const c = this.project(p), half = g.measureText(text).width / 2 + ratio;
+        const x = Math.min(this.size - half, Math.max(half, c[0])), y = c[1] - up * ratio;
+        g.strokeText(text, x, y); g.fillText(text, x, y);
+      };
       at([-1, -1.2, low], show(x0)); at([0, -1.24, low], "x"); at([1, -1.2, low], show(x1));
       at([1.22, -1, low], show(y0)); at([1.26, 0, low], "y"); at([1.22, 1, low], show(y1));
       if (this.data.flat) return;
-      at([-1.14, -1.06, -0.62], show(z0)); at([-1.14, -1.06, 0], "z"); at([-1.14, -1.06, 0.62], show(z1));
+      at([-1.14, -1.06, -0.62], show(z0), 8); at([-1.14, -1.06, 0], "z", 8); at([-1.14, -1.06, 0.62], show(z1), 8);
     }
 
     listen() {
