@@ -23,7 +23,7 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from common.channel import Channel, Impairment
 from simulator.page import (
@@ -243,7 +243,8 @@ def _draw_lines(
     axes.set_yscale("log")
     axes.set_ylim(top=top * 1.1)
     bottom, top = axes.get_ylim()
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0,) if top > 30 * bottom else (1.0, 2.0, 5.0)))
+    several = (1.0, 2.0, 5.0) if top > 10 * bottom else (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0,) if top > 300 * bottom else several))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_formatter(NullFormatter())
     if look.logarithmic:
@@ -254,6 +255,7 @@ def _draw_lines(
             axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
             axes.xaxis.set_minor_formatter(NullFormatter())
     elif look.percent:
+        axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:g} %"))
 
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import re
 from html.parser import HTMLParser
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from matplotlib.axis import Axis
+from matplotlib.text import Text
 
 from simulator import report
 from simulator.campaign import Campaign
@@ -31,6 +34,10 @@ def rows(network: float = 0.1, linear: float = 0.2, axis: str = "noise") -> list
         for level in (0.01, 0.1)
         for sample in range(3)
     ]
+
+
+def ticks(axis: Axis) -> list[tuple[float, Text]]:
+    return list(zip(axis.get_majorticklocs(), axis.get_majorticklabels(), strict=True))
 
 
 class References(HTMLParser):
@@ -164,6 +171,21 @@ def test_the_axes_of_the_published_campaigns_are_known() -> None:
     campaigns = [Campaign.load(path) for path in (Path(__file__).parents[2] / "docs" / "campaigns").glob("*.toml")]
     assert campaigns
     assert {sweep.axis for plan in campaigns for sweep in plan.channels if sweep.levels} <= set(report.AXES)
+
+
+@pytest.mark.parametrize("least", [0.1, 0.003, 0.0003])
+def test_values_can_be_read_at_labels_that_stand_apart(least: float) -> None:
+    of = [(level, Spread(value, value, value, 1, 0)) for level, value in ((0.0, least), (0.2, 0.23))]
+    curves = {name: {"network": of} for name in ("peaks", "franke", "surface-1")}
+    figure = report.draw_curves(curves, report.look_of("noise"), ["network"])
+    figure.set_dpi(72)
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        low, high = axes.get_ylim()
+        assert sum(bool(label.get_text()) and low <= tick <= high for tick, label in ticks(axes.yaxis)) >= 3
+        left, right = axes.get_xlim()
+        boxes = [label.get_window_extent() for tick, label in ticks(axes.xaxis) if left <= tick <= right]
+        assert all(one.x1 + 4 < other.x0 for one, other in pairwise(boxes))
 
 
 def test_bytes_and_times_are_drawn_where_they_are_known() -> None:
