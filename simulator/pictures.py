@@ -30,6 +30,9 @@ RELIEF = 0.30
 SMOOTH_CELLS = 40_000
 """Contours are drawn on grids up to this size; on a large grid of real terrain they would hide it."""
 
+FEW = 500
+"""Up to so many feature points each is marked, and the centres with them."""
+
 
 def relief(ax: Axes, grid: HeightGrid, z: FloatArray, norm: Normalize) -> None:
     """Draw heights `z`, shape of `grid`, as shaded relief."""
@@ -66,7 +69,7 @@ def trial_picture(trial: Trial) -> Figure:
     _features(axes[0, 1], trial, norm)
     _title(
         axes[0, 1],
-        "Feature points and centres",
+        "Feature points and centres" if len(trial.clean.features) <= FEW else "Feature points",
         f"{len(trial.clean.features):,} points, {trial.clean.sent_bytes:,} bytes on the air",
     )
 
@@ -102,8 +105,9 @@ def trial_picture(trial: Trial) -> Figure:
         ax.set_xlabel(f"x{f' ({surface.units.xy})' if surface.units.xy else ''}")
     for ax in axes[:, 0]:
         ax.set_ylabel(f"y{f' ({surface.units.xy})' if surface.units.xy else ''}")
+    rings = "   ·   rings: centres of the network" if len(trial.clean.features) <= FEW else ""
     figure.supxlabel(
-        f"noisy channel: {trial.noisy.channel}   ·   dots: feature points   ·   rings: centres of the network",
+        f"noisy channel: {trial.noisy.channel}   ·   dots: feature points{rings}",
         fontsize=8,
         color="#555555",
     )
@@ -112,7 +116,7 @@ def trial_picture(trial: Trial) -> Figure:
 
 def _features(ax: Axes, trial: Trial, norm: Normalize) -> None:
     relief(ax, trial.truth, trial.truth.z, norm)
-    few = len(trial.clean.features) <= 500
+    few = len(trial.clean.features) <= FEW
     size = 22.0 if few else 1.2
     points = trial.clean.features
     ax.scatter(points[:, 0], points[:, 1], s=size, c="white", edgecolors=INK, linewidths=0.7 if few else 0.0, zorder=3)
