@@ -13,6 +13,9 @@ from common.errors import ParameterError, SurfacelinkError
 
 MEDIA_TYPE = "application/problem+json"
 
+BRANCH = re.compile(r"literal\[|constrained-|(int|float|str|bool)$")
+"""What pydantic puts behind a field's name to say which of several accepted types its complaint is about."""
+
 
 class InvalidField(BaseModel):
     """One part of a request that was not acceptable."""
@@ -63,10 +66,21 @@ def problem_of_fields(errors: Sequence[Mapping[str, Any]]) -> Problem:
     errors : sequence of mappings
         As pydantic's ``ValidationError.errors()`` gives them, the place (query, body, ...) first in ``loc``.
     """
-    fields = []
+    found: dict[tuple[str, str], list[str]] = {}
     for error in errors:
         place, *name = (str(part) for part in error["loc"] or ("body",))
         message = str(error["msg"]).removeprefix("Value error, ")
-        fields.append(InvalidField(place=place, name=".".join(name) or place, detail=message))
+        if error.get("type") == "json_invalid" and name:  # FastAPI's: the place is a number of characters
+            message, name = f"not JSON: {error['ctx']['error']} after {name[-1]} characters", []
+        label = ".".join(part for part in name if not BRANCH.match(part)) or place
+        found.setdefault((place, label), []).append(message)
+    fields = [
+        InvalidField(
+            place=place,
+            name=name,
+            detail=", or ".join([messages[0], *(text.removeprefix("Input should be ") for text in messages[1:])]),
+        )
+        for (place, name), messages in found.items()
+    ]
     detail = "; ".join(f"{field.name}: {field.detail}" for field in fields)
     return problem_of(ParameterError(detail)).model_copy(update={"errors": fields})

@@ -25,6 +25,7 @@ from common.wire import WireOptions
 from sender.app import create_app
 from sender.client import ReceiverClient, Sent
 from sender.features import Extracted, Repeated
+from sender.listening import listen
 from sender.readers import read_points
 from sender.settings import Settings
 from sender.surfaces import SURFACES, names_file
@@ -58,7 +59,7 @@ def serve(
         raise ParameterError(problem_of_fields(error.errors()).detail) from error
     ReceiverClient.connect(settings.receiver)
     config = uvicorn.Config(create_app(settings), host=settings.host, port=settings.port, log_level="warning")
-    listener = config.bind_socket()
+    listener = listen(settings.host, settings.port)
     console.print(f"sender    http://{settings.host}:{listener.getsockname()[1]}", highlight=False, soft_wrap=True)
     console.print(f"receiver  {settings.receiver}", highlight=False, soft_wrap=True)
     uvicorn.Server(config).run(sockets=[listener])
@@ -173,7 +174,9 @@ def _order(**fields: Any) -> Order:
     try:
         return Order(**fields)
     except ValidationError as error:
-        found = [{**each, "loc": ("option", *each["loc"])} for each in error.errors()]
+        found = [
+            {**each, "loc": ("option", *(part for part in each["loc"] if part != "wire"))} for each in error.errors()
+        ]
         raise ParameterError(problem_of_fields(found).detail) from error
 
 

@@ -29,6 +29,9 @@ mistake."""
 USUAL_PIECES = 1024
 """Pieces that a region is cut into where nothing says how large they are: about 2,000 feature points."""
 
+FARTHEST = 1e100
+"""Coordinates beyond this have squares that leave the range of doubles; no unit of length makes such of a survey."""
+
 COLLINEAR = 1e-10
 """Points whose extent across their main direction is below this share of that along it lie on one line: the square
 root of the rounding of coordinates that carry an offset 10^6 times their extent."""
@@ -80,11 +83,15 @@ def check_surface(points: npt.ArrayLike) -> FloatArray:
     Raises
     ------
     PointsError
-        If there are fewer than three points, or all lie in one place or on one line of the xy plane.
+        If there are fewer than three points, all lie in one place or on one line of the xy plane, or a coordinate
+        is beyond `FARTHEST`.
     """
     points = as_points(points)
     if len(points) < 3:
         raise PointsError(f"{len(points)} point(s) given; a surface needs at least 3 that are not on one line")
+    farthest = float(np.abs(points).max())
+    if farthest > FARTHEST:
+        raise PointsError(f"a coordinate has the size {farthest:g}; accepted are coordinates up to {FARTHEST:g}")
     across = np.linalg.svd(points[:, :2] - points[:, :2].mean(axis=0), compute_uv=False)
     if across[0] == 0:
         raise PointsError(f"all {len(points)} points lie in one place; a surface needs at least 3 positions")

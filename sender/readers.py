@@ -136,6 +136,8 @@ def _parse_text(data: bytes, name: str, columns: Sequence[str] | None, most: int
     header = not all(_is_number(cell) for cell in names)
     use = _columns(names, header, columns, name)
     _check_count(len(lines) - header, name, most)
+    if header and len(lines) == 1:
+        raise FileFormatError(f"{name} holds a line of names and no point")
     try:
         return np.atleast_2d(
             np.loadtxt(lines[1:] if header else lines, delimiter=delimiter, usecols=use, ndmin=2, dtype=np.float64)

@@ -19,6 +19,7 @@ from rich.text import Text
 
 from common.channel import Channel
 from common.errors import ParameterError, SurfacelinkError
+from sender.listening import listen
 from sender.surfaces import find_surface
 from simulator.demo import DEMO_SURFACES, Trial, run_demo, steps, write_pictures
 from simulator.paper import paper_command
@@ -145,11 +146,15 @@ app.command("rivals")(rivals_command)
 def channel(
     spec: Annotated[str, typer.Argument(help="The channel, for example gaussian:std=0.1,axes=xyz;erasure:p=0.05")],
     upstream: Annotated[str, typer.Option(help="URL of the server behind the channel.")] = "http://127.0.0.1:8001",
-    port: Annotated[int, typer.Option(help="Port to listen on.")] = 8002,
+    port: Annotated[int, typer.Option(help="Port to listen on; 0 takes a free one.")] = 8002,
     seed: Annotated[int, typer.Option(help="Seed of the channel.")] = 0,
 ) -> None:
     """Put a channel between any client and any receiver; GET and PUT /v1/channel steer it."""
-    uvicorn.run(create_proxy(upstream, Channel.parse(spec, seed=seed)), host="127.0.0.1", port=port, log_level="info")
+    proxy = create_proxy(upstream, Channel.parse(spec, seed=seed))
+    listener = listen("127.0.0.1", port)
+    console.print(f"channel   http://127.0.0.1:{listener.getsockname()[1]}", highlight=False, soft_wrap=True)
+    console.print(f"upstream  {upstream}", highlight=False, soft_wrap=True)
+    uvicorn.Server(uvicorn.Config(proxy, log_level="info")).run(sockets=[listener])
 
 
 def main() -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import socket
 import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +35,13 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *ar
         (["surface-1", "--gap", "0.001"], "nearly all of them empty"),
         (["surface-1", "--gap", "1e-9"], "at most 16000000"),
         (["surface-1", "--gap", "-1"], "gap: Input should be greater than 0"),
+        (
+            ["surface-1", "--precision", "200"],
+            ": precision: Input should be 'float64' or 'float32', or less than or equal",
+        ),
+        (["surface-1", "--inner", "300"], ": inner: Input should be 0, or 16, 32, 64 or 128\n"),
+        (["names.csv"], "names.csv holds a line of names and no point"),
+        (["huge.csv"], "1e+300; accepted are coordinates up to 1e+100"),
         (["surface-1", "--points", "1"], "at least 3"),
         (["surface-1", "--receiver", "localhost"], "not a receiver's URL"),
         (["surface-1", "--channel", "gausian:std=1"], "did you mean 'gaussian'?"),
@@ -60,6 +69,8 @@ def test_bad_input_is_one_line(
         "empty.csv": b"",
         "one.csv": b"1,2,3",
         "place.csv": b"1,2,3\n" * 5,
+        "names.csv": b"x,y,z\n",
+        "huge.csv": b"1,1,3\n-1e300,2,4\n3,1,0\n",
         "line.csv": b"1,1,3\n2,2,4\n3,3,0\n",
         "nan.csv": b"1,1,nan\n2,0,4\n3,3,0\n",
         "repeated.csv": b"1,1,1\n1,1,4\n3,3,0\n5,0,0\n",
@@ -67,7 +78,9 @@ def test_bad_input_is_one_line(
         "picture.png": b"\x89PNG",
     }.items():
         (tmp_path / name).write_bytes(text)
-    status, _, err = run(monkeypatch, capsys, "send", *arguments)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        status, _, err = run(monkeypatch, capsys, "send", *arguments)
     assert status == 1
     assert message in err
     assert err.startswith("error: ")
@@ -102,6 +115,14 @@ def test_a_typo_is_a_usage_error(
     assert status == 2
     assert "Usage: " in err
     assert "Traceback" not in err
+
+
+def test_a_port_that_is_taken_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        status, _, err = run(monkeypatch, capsys, "serve", "--port", str(port))
+    assert status == 1
+    assert err == f"error: cannot listen on 127.0.0.1 port {port}: Address already in use; choose another --port\n"
 
 
 def test_the_surfaces_are_listed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

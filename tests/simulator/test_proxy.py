@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
@@ -18,6 +19,7 @@ from common.channel import Channel
 from common.errors import ParameterError
 from common.surface import FeatureSet, Region
 from common.wire import encode
+from simulator.__main__ import main
 from simulator.proxy import MAX_CHANNEL_BYTES, create_proxy
 
 SPEC = "gaussian:std=0.1;erasure:p=0.3"
@@ -218,3 +220,19 @@ async def test_the_answer_is_closed_when_the_client_goes_away() -> None:
 def test_an_upstream_that_is_no_address_is_refused(upstream: str) -> None:
     with pytest.raises(ParameterError, match="upstream"):
         create_proxy(upstream, Channel())
+
+
+@pytest.mark.parametrize("port", ["99999", "taken"])
+def test_a_port_that_cannot_be_had_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], port: str
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        number = str(taken.getsockname()[1]) if port == "taken" else port
+        monkeypatch.setattr("sys.argv", ["simulate", "channel", "clean", "--port", number])
+        with pytest.raises(SystemExit) as stop:
+            main()
+    assert stop.value.code == 1
+    err = capsys.readouterr().err
+    assert err.startswith("error: ")
+    assert number in err
+    assert err.count("\n") == 1

@@ -1,0 +1,41 @@
+"""What pydantic and FastAPI refuse, in words for whoever sent it."""
+
+from __future__ import annotations
+
+import pytest
+from pydantic import ValidationError
+
+from common.network.model import NetworkSettings
+from common.problems import InvalidField, problem_of_fields
+from common.wire import WireOptions
+
+
+def test_a_field_of_several_types_is_one_complaint_under_its_own_name() -> None:
+    with pytest.raises(ValidationError) as refused:
+        WireOptions(precision=200, copies=0)
+    problem = problem_of_fields([{**each, "loc": ("body", *each["loc"])} for each in refused.value.errors()])
+    assert problem.errors == [
+        InvalidField(
+            place="body",
+            name="precision",
+            detail="Input should be 'float64' or 'float32', or less than or equal to 32",
+        ),
+        InvalidField(place="body", name="copies", detail="Input should be greater than or equal to 1"),
+    ]
+
+
+def test_a_spread_below_zero_is_told_what_is_accepted() -> None:
+    with pytest.raises(ValidationError) as refused:
+        NetworkSettings(spread=-1)
+    problem = problem_of_fields([{**each, "loc": ("query", *each["loc"])} for each in refused.value.errors()])
+    assert problem.detail == "spread: Input should be 'auto' or 'paper', or greater than 0"
+
+
+def test_broken_json_is_said_to_be_that() -> None:
+    error = {
+        "type": "json_invalid",
+        "loc": ("body", 17),
+        "msg": "JSON decode error",
+        "ctx": {"error": "Expecting value"},
+    }
+    assert problem_of_fields([error]).detail == "body: not JSON: Expecting value after 17 characters"
