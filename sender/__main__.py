@@ -135,7 +135,7 @@ def send(
     total = "?" if counts.total is None else counts.total
     console.print(
         f"receiver: {counts.received} of {total} packets, {counts.damaged} damaged, {counts.duplicate} duplicate, "
-        f"{counts.rebuilt} rebuilt, {len(counts.missing)} missing, {sent.retransmitted} sent again; "
+        f"{counts.rebuilt} rebuilt, {counts.absent or 0} missing, {sent.retransmitted} sent again; "
         f"holds {sent.receipt.points} points",
         soft_wrap=True,
     )

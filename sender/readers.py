@@ -66,10 +66,6 @@ def parse_points(data: bytes, name: str, columns: Sequence[str] | None = None, m
         columns separated by commas, semicolons or white space, with or without a line of names, "#" starts a
         comment. The text formats may be compressed (.gz, .xz).
     columns : three names, optional
-        Which columns of a text file are x, y and z: names, or numbers counted from 0. By default the columns called
-        x, y, z or another of `NAMES`; of three columns the one left; the only three, where no name contradicts that.
-    most : int, optional
-        Most points accepted; more are refused before they are read.
 
     Raises
     ------
@@ -134,10 +130,10 @@ def _parse_text(data: bytes, name: str, columns: Sequence[str] | None, most: int
     delimiter = next((mark for mark in ",;\t" if mark in lines[0]), None)
     names = _cells(lines[0], delimiter)
     header = not all(_is_number(cell) for cell in names)
-    use = _columns(names, header, columns, name)
-    _check_count(len(lines) - header, name, most)
     if header and len(lines) == 1:
         raise FileFormatError(f"{name} holds a line of names and no point")
+    use = _columns(names, header, columns, name)
+    _check_count(len(lines) - header, name, most)
     try:
         return np.atleast_2d(
             np.loadtxt(lines[1:] if header else lines, delimiter=delimiter, usecols=use, ndmin=2, dtype=np.float64)

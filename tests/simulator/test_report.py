@@ -173,21 +173,6 @@ def test_the_axes_of_the_published_campaigns_are_known() -> None:
     assert {sweep.axis for plan in campaigns for sweep in plan.channels if sweep.levels} <= set(report.AXES)
 
 
-@pytest.mark.parametrize("least", [0.1, 0.003, 0.0003])
-def test_values_can_be_read_at_labels_that_stand_apart(least: float) -> None:
-    of = [(level, Spread(value, value, value, 1, 0)) for level, value in ((0.0, least), (0.2, 0.23))]
-    curves = {name: {"network": of} for name in ("peaks", "franke", "surface-1")}
-    figure = report.draw_curves(curves, report.look_of("noise"), ["network"])
-    figure.set_dpi(72)
-    figure.draw_without_rendering()
-    for axes in figure.axes:
-        low, high = axes.get_ylim()
-        assert sum(bool(label.get_text()) and low <= tick <= high for tick, label in ticks(axes.yaxis)) >= 3
-        left, right = axes.get_xlim()
-        boxes = [label.get_window_extent() for tick, label in ticks(axes.xaxis) if left <= tick <= right]
-        assert all(one.x1 + 4 < other.x0 for one, other in pairwise(boxes))
-
-
 def test_bytes_and_times_are_drawn_where_they_are_known() -> None:
     sized = [
         row(method="network", sends=f"features budget={b}", level=0.0, bytes=b, nrmse=10 / b, channel="clean")
@@ -242,6 +227,21 @@ def test_what_fails_for_everyone_is_named_and_not_counted() -> None:
 
 def test_a_spread_is_the_median_and_the_quartiles() -> None:
     assert Spread.of(range(9)) == Spread(4.0, 2.0, 6.0, 9, 0)
+
+
+@pytest.mark.parametrize("least", [0.1, 0.003, 0.0003])
+def test_values_can_be_read_at_labels_that_stand_apart(least: float) -> None:
+    of = [(level, Spread(value, value, value, 1, 0)) for level, value in ((0.0, least), (0.2, 0.23))]
+    curves = {name: {"network": of} for name in ("peaks", "franke", "surface-1")}
+    figure = report.draw_curves(curves, report.look_of("noise"), ["network"])
+    figure.set_dpi(72)
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        low, high = axes.get_ylim()
+        assert sum(bool(label.get_text()) and low <= tick <= high for tick, label in ticks(axes.yaxis)) >= 3
+        left, right = axes.get_xlim()
+        boxes = [label.get_window_extent() for tick, label in ticks(axes.xaxis) if left <= tick <= right]
+        assert all(one.x1 + 4 < other.x0 for one, other in pairwise(boxes))
 
 
 def test_a_failure_is_infinitely_bad() -> None:
