@@ -112,6 +112,15 @@ def test_a_surface_appears_by_itself_and_can_be_read(page: Page, receiver: str, 
     assert "height" in page.locator("#read").inner_text()
 
 
+def test_an_address_with_a_name_shows_that_surface(page: Page, receiver: str, points: np.ndarray) -> None:
+    for name in ("hills", "dunes"):
+        send(receiver, name, points)
+    page.locator('[data-id="dunes"]').wait_for()
+    for name in ("dunes", "hills"):
+        page.goto(f"{receiver}/#{name}")
+        page.locator(f'canvas[data-drawn="{name} map z"]').wait_for()
+
+
 def test_what_is_shown_can_be_chosen(page: Page, receiver: str, points: np.ndarray) -> None:
     send(receiver, "hills", points)
     page.locator('canvas[data-drawn="hills map z"]').wait_for()
