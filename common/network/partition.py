@@ -336,8 +336,10 @@ class Partition:
 
         So does a cliff in a smooth surface: it takes a wide Gaussian an amplitude far beyond the heights.
         """
-        rows = np.split(values[self.members], self.starts[1:-1])
-        deviations = np.sqrt([part.var(axis=0).mean() for part in rows])
+        counts, first = np.diff(self.starts)[:, None], self.starts[:-1]
+        away = values[self.members]
+        away -= np.repeat(np.add.reduceat(away, first) / counts, counts[:, 0], axis=0)
+        deviations = np.sqrt(np.mean(np.add.reduceat(np.square(away, out=away), first) / counts, axis=1))
         alive = deviations > FLAT
         loudness = np.sqrt(np.mean(self.amplitude**2, axis=1))[alive] / deviations[alive]
         loud = np.flatnonzero(alive)[loudness > LOUD * np.median(loudness)] if alive.any() else np.zeros(0, np.int64)
