@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from common.errors import SurfacelinkError
+from common.listening import listen
 from common.problems import problem_of_fields
 from receiver.app import create_app
 from receiver.settings import Settings
@@ -66,18 +67,6 @@ def _fail(message: str) -> typer.Exit:
     return typer.Exit(1)
 
 
-def _listen(host: str, port: int) -> socket.socket:
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listener = socket.socket(family, socket.SOCK_STREAM)
-    try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind((host, port))
-    except OSError:
-        listener.close()
-        raise
-    return listener
-
-
 @app.command()
 def serve(
     host: Annotated[str | None, typer.Option(help=_about("host"))] = None,
@@ -107,15 +96,11 @@ def serve(
         settings = Settings(**{name: value for name, value in given.items() if value is not None})
         application = create_app(settings)
         Store(settings.data).close()  # says what is wrong with the folder before anything listens
-        listener = _listen(settings.host, settings.port)
+        listener = listen(settings.host, settings.port)
     except ValidationError as error:
         raise _fail(problem_of_fields(error.errors()).detail or "") from None
     except SurfacelinkError as error:
         raise _fail(error.detail) from None
-    except OSError as error:
-        raise _fail(
-            f"cannot listen on {settings.host} port {settings.port}: {error.strerror or error}; choose another --port"
-        ) from None
     logging.captureWarnings(True)
     bound = listener.getsockname()[1]
     shown = f"[{settings.host}]" if ":" in settings.host else settings.host

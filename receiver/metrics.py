@@ -10,7 +10,7 @@ from typing import Literal
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from receiver.schemas import Delivery
+from common.messages import Delivery
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 

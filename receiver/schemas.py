@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from common import messages
-from common.messages import PacketCounts, State
+from common.messages import Delivery, PacketCounts, State
 from common.problems import Problem
 from common.surface import Region, Units
 from receiver.store import Row
-
-Delivery: TypeAlias = messages.Delivery
 
 
 class Answer(BaseModel):

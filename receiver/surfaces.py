@@ -15,7 +15,7 @@ import anyio
 from anyio.to_thread import run_sync as run_in_thread
 
 from common.errors import ConflictError, NotReadyError, PacketError, StoreError, SurfacelinkError, WireError
-from common.messages import PacketCounts, PacketsNamed
+from common.messages import Delivery, PacketCounts, PacketsNamed
 from common.network.model import NetworkSettings, SurfaceModel
 from common.problems import problem_of
 from common.surface import FeatureSet
@@ -163,7 +163,7 @@ class Surfaces:
 
     def _take_in(
         self, name: str, body: bytes, network: dict[str, Any], sent: bytes | None
-    ) -> tuple[Row, schemas.Delivery, FeatureSet | None, list[int]]:
+    ) -> tuple[Row, Delivery, FeatureSet | None, list[int]]:
         """Blocks. The features are those to train on, None where nothing is new or is being trained already; last are
         missing packets."""
         idle = self.trainings.get(name) is None
@@ -182,7 +182,7 @@ class Surfaces:
                 fresh.append(packet)
         if packets and fates["foreign"] == len(packets):
             raise ConflictError("the packets belong to another transmission; post them under the id they were made for")
-        delivery = schemas.Delivery(damaged=decoder.damaged, **fates)
+        delivery = Delivery(damaged=decoder.damaged, **fates)
         features = reassembly.features() if reassembly.points else None
         digest = None if features is None else sha256(features.points.tobytes()).hexdigest()
         changed = digest != (row.features if row else None)
@@ -360,7 +360,7 @@ def _datagram(packet: Packet) -> bytes:
 
 
 def _contents(
-    reassembly: Reassembly, features: FeatureSet | None, row: Row | None, delivery: schemas.Delivery
+    reassembly: Reassembly, features: FeatureSet | None, row: Row | None, delivery: Delivery
 ) -> schemas.Contents:
     """What is known of a surface by now."""
     before = schemas.Contents.model_validate(row.contents).packets if row else None

@@ -19,13 +19,13 @@ from rich.text import Text
 
 from common.channel import Channel
 from common.errors import ParameterError, SurfacelinkError
+from common.listening import listen
 from common.problems import problem_of_fields
 from common.surface import Unit
 from common.wire import WireOptions
 from sender.app import create_app
 from sender.client import ReceiverClient, Sent
 from sender.features import Extracted, Repeated
-from sender.listening import listen
 from sender.readers import read_points
 from sender.settings import Settings
 from sender.surfaces import SURFACES, names_file

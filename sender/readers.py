@@ -66,6 +66,10 @@ def parse_points(data: bytes, name: str, columns: Sequence[str] | None = None, m
         columns separated by commas, semicolons or white space, with or without a line of names, "#" starts a
         comment. The text formats may be compressed (.gz, .xz).
     columns : three names, optional
+        Which columns of a text file are x, y and z: names, or numbers counted from 0. By default the columns called
+        x, y, z or another of `NAMES`; of three columns the one left; the only three, where no name contradicts that.
+    most : int, optional
+        Most points accepted; more are refused before they are read.
 
     Raises
     ------

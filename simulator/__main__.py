@@ -19,7 +19,7 @@ from rich.text import Text
 
 from common.channel import Channel
 from common.errors import ParameterError, SurfacelinkError
-from sender.listening import listen
+from common.listening import listen
 from sender.surfaces import find_surface
 from simulator.demo import DEMO_SURFACES, Trial, run_demo, steps, write_pictures
 from simulator.paper import paper_command

@@ -69,7 +69,7 @@ def trial_picture(trial: Trial) -> Figure:
     _features(axes[0, 1], trial, norm)
     _title(
         axes[0, 1],
-        "Feature points and centres" if len(trial.clean.features) <= FEW else "Feature points",
+        "Feature points and centres" if _few(trial) else "Feature points",
         f"{len(trial.clean.features):,} points, {trial.clean.sent_bytes:,} bytes on the air",
     )
 
@@ -105,7 +105,7 @@ def trial_picture(trial: Trial) -> Figure:
         ax.set_xlabel(f"x{f' ({surface.units.xy})' if surface.units.xy else ''}")
     for ax in axes[:, 0]:
         ax.set_ylabel(f"y{f' ({surface.units.xy})' if surface.units.xy else ''}")
-    rings = "   ·   rings: centres of the network" if len(trial.clean.features) <= FEW else ""
+    rings = "   ·   rings: centres of the network" if _few(trial) else ""
     figure.supxlabel(
         f"noisy channel: {trial.noisy.channel}   ·   dots: feature points{rings}",
         fontsize=8,
@@ -114,9 +114,13 @@ def trial_picture(trial: Trial) -> Figure:
     return figure
 
 
+def _few(trial: Trial) -> bool:
+    return len(trial.clean.features) <= FEW
+
+
 def _features(ax: Axes, trial: Trial, norm: Normalize) -> None:
     relief(ax, trial.truth, trial.truth.z, norm)
-    few = len(trial.clean.features) <= FEW
+    few = _few(trial)
     size = 22.0 if few else 1.2
     points = trial.clean.features
     ax.scatter(points[:, 0], points[:, 1], s=size, c="white", edgecolors=INK, linewidths=0.7 if few else 0.0, zorder=3)

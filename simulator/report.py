@@ -340,6 +340,11 @@ class Contest:
         return best if math.isfinite(self.distortion[best].median) else ""
 
     @property
+    def best(self) -> str:
+        """The winner, or the network's own line where there is none."""
+        return self.winner or self.own
+
+    @property
     def lost_by_all(self) -> bool:
         """Whether the median sample fails whatever the method: nothing arrived."""
         return all(math.isinf(spread.median) for spread in self.distortion.values())
@@ -439,9 +444,9 @@ def contests_html(cells: Sequence[Contest], notes: Mapping[str, str]) -> str:
             _nice_name(cell.surface),
             _level(cell),
             cell.winner or "none",
-            _distortion(cell.distortion[cell.winner or cell.own].median),
+            _distortion(cell.distortion[cell.best].median),
             _distortion(cell.distortion[cell.own].median),
-            _ratio(cell.distortion[cell.own].median / cell.distortion[cell.winner or cell.own].median),
+            _ratio(cell.distortion[cell.own].median / cell.distortion[cell.best].median),
             TableCell(escape(_why(cell, notes)), "wrap"),
         ]
         for cell in lost
@@ -461,7 +466,7 @@ def _subject(cells: Sequence[Contest]) -> str:
 
 
 def _why(cell: Contest, notes: Mapping[str, str]) -> str:
-    best, own = cell.distortion[cell.winner or cell.own], cell.distortion[cell.own]
+    best, own = cell.distortion[cell.best], cell.distortion[cell.own]
     note = notes.get(f"{cell.surface} {cell.axis} {cell.level}", notes.get(cell.surface, ""))
     close = own.low <= best.high and own.median < 1.1 * best.median
     scatter = "Within the scatter between samples: the quartiles overlap." if close else ""

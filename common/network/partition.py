@@ -329,7 +329,7 @@ class Partition:
         outputs = values.shape[1]
         self.coefficients = np.zeros((len(self.members), outputs))
         self.bias, self.amplitude = np.zeros((len(self), outputs)), np.zeros((len(self), outputs))
-        self._solve_again(np.argsort(np.diff(self.starts), kind="stable"), values, tick)
+        self._solve_patches(np.arange(len(self)), values, tick)
 
     def _mend(self, values: FloatArray) -> None:
         """A narrower kernel and a smoothing of their own for patches that what suits the others makes explode.
@@ -340,11 +340,11 @@ class Partition:
         away = values[self.members]
         away -= np.repeat(np.add.reduceat(away, first) / counts, counts[:, 0], axis=0)
         deviations = np.sqrt(np.mean(np.add.reduceat(np.square(away, out=away), first) / counts, axis=1))
-        alive = deviations > FLAT
-        loudness = np.sqrt(np.mean(self.amplitude**2, axis=1))[alive] / deviations[alive]
-        loud = np.flatnonzero(alive)[loudness > LOUD * np.median(loudness)] if alive.any() else np.zeros(0, np.int64)
-        if not len(loud):
+        alive = np.flatnonzero(deviations > FLAT)
+        if not len(alive):
             return
+        loudness = np.sqrt(np.mean(self.amplitude[alive] ** 2, axis=1)) / deviations[alive]
+        loud = alive[loudness > LOUD * np.median(loudness)]
         kernels = [Kernel(self.kernel.spreads / part, self.kernel.amplitudes) for part in NARROWER]
         smoothings = SMOOTHINGS[CALMING <= SMOOTHINGS]
         found = parallel(lambda patch: self._scores(int(patch), values, kernels, smoothings), loud)
@@ -352,12 +352,13 @@ class Partition:
             kernel, level = np.unravel_index(int(np.argmin(scores)), scores.shape)
             self.spacings[patch] /= NARROWER[kernel]
             self.smoothing[patch] = smoothings[level]
-        self._solve_again(loud[np.argsort(np.diff(self.starts)[loud], kind="stable")], values, lambda *_: None)
+        self._solve_patches(loud, values, lambda *_: None)
 
-    def _solve_again(self, order: IntArray, values: FloatArray, tick: Tick) -> None:
-        """The same of some patches, in this order."""
+    def _solve_patches(self, patches: IntArray, values: FloatArray, tick: Tick) -> None:
+        """Coefficients, bias and amplitude of some patches, those of as many points together."""
         outputs = values.shape[1]
         levels = Levels(self.kernel)
+        order = patches[np.argsort(np.diff(self.starts)[patches], kind="stable")]
 
         def work(patches: IntArray) -> None:
             points, slots, real = self._batch(patches)

@@ -72,13 +72,10 @@ def set_aside(samples: Samples, fit: Fit, refit: Callable[[Samples, bool], Fit])
         return fit, np.zeros(0, dtype=np.int64)
     kept = _kept(fit.residuals, fit.deviations)
     # Many wrong points hide one another from a network that was fitted to them, but not from their neighbours.
-    tree = KDTree(samples.X, balanced_tree=False, compact_nodes=False)
-    everywhere = np.arange(n)
-    if kept.all() and not _far_off(tree, samples.y, everywhere).any():
+    near = _near(_tree(samples.X), np.arange(n))
+    if kept.all() and not _far_off(samples.y, near).any():
         return fit, np.zeros(0, dtype=np.int64)
-    near = np.asarray(tree.query(samples.X, k=min(NEIGHBOURS + 1, n))[1])
-
-    kept &= ~_far_off(tree, samples.y, everywhere, APART)
+    kept &= ~_far_off(samples.y, near, APART)
     seen = _look(samples, kept, refit)
     for _ in range(ROUNDS):
         agreed = _kept(*seen)
@@ -128,19 +125,29 @@ def screen(X: FloatArray, y: FloatArray) -> IntArray:
 
     Far off is measured by the neighbours' own scatter and by what is usual everywhere. No network is fitted.
     """
-    tree = KDTree(X, balanced_tree=False, compact_nodes=False)
+    tree = _tree(X)
     some = np.random.default_rng(0).permutation(len(X))[:GLANCE]
-    if not _far_off(tree, y, some).any():
+    if not _far_off(y, _near(tree, some)).any():
         return np.zeros(0, dtype=np.int64)
-    return np.flatnonzero(_far_off(tree, y, np.arange(len(X))))
+    return np.flatnonzero(_far_off(y, _near(tree, np.arange(len(X)))))
 
 
-def _far_off(tree: KDTree, y: FloatArray, asked: IntArray, deviations: float = SUSPECT) -> BoolArray:
+def _tree(X: FloatArray) -> KDTree:
+    return KDTree(X, balanced_tree=False, compact_nodes=False)
+
+
+def _near(tree: KDTree, asked: IntArray) -> IntArray:
+    """The rows `asked` (m,), and their nearest neighbours beside them, shape (m, 1 + k)."""
     workers = -1 if len(asked) > GLANCE else 1
-    rows = np.asarray(tree.query(tree.data[asked], k=min(NEIGHBOURS + 1, len(y)), workers=workers)[1])
-    found = np.zeros(len(asked), dtype=bool)
+    rows = np.asarray(tree.query(tree.data[asked], k=min(NEIGHBOURS + 1, tree.n), workers=workers)[1])
+    return np.column_stack([asked, rows[:, 1:]])
+
+
+def _far_off(y: FloatArray, near: IntArray, deviations: float = SUSPECT) -> BoolArray:
+    """Which of the rows that `near` (m, 1 + k) begins with have values far off those of the neighbours, shape (m,)."""
+    found = np.zeros(len(near), dtype=bool)
     for values in y.T:
-        around, column = values[rows[:, 1:]], values[asked]
+        around, column = values[near[:, 1:]], values[near[:, 0]]
         middle = np.median(around, axis=1)
         scatter = np.median(np.abs(around - middle[:, None]), axis=1) / 0.6745
         away = np.abs(column - middle)
@@ -157,7 +164,7 @@ def _far_off(tree: KDTree, y: FloatArray, asked: IntArray, deviations: float = S
 def _together(away: FloatArray, around: FloatArray, share: float) -> BoolArray:
     """Whether values so far off (m,) are so together with those around them (m, k), the share of such values given.
 
-    A wrong value is on the same side as another, and no less far off, with half their share for a probability at most.
+    A wrong value has another for company, at least `COMPANY` as far off, with half their share for a probability.
     """
     same = np.count_nonzero(around * np.sign(away)[:, None] >= COMPANY * np.abs(away)[:, None], axis=1)
     return np.asarray(bdtrc(same - 1, around.shape[1], 0.5 * share) * len(away) < CHANCE)
@@ -172,8 +179,7 @@ def cross_checked(samples: Samples, fit: Callable[[Samples], Partition]) -> IntA
         residuals[asked] = samples.y[asked] - fit(samples.take(np.sort(fitted))).predict(samples.X[asked])
     suspect = ~_kept(residuals, np.ones(len(samples)))
     if suspect.any():
-        near = np.asarray(KDTree(samples.X).query(samples.X, k=NEIGHBOURS + 1, workers=-1)[1])
-        suspect &= ~_company(residuals, suspect, near)
+        suspect &= ~_company(residuals, suspect, _near(_tree(samples.X), np.arange(len(samples))))
     return np.flatnonzero(suspect)
 
 

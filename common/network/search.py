@@ -205,9 +205,9 @@ class _Search:
 
         Parabolas tell. An axis is done with where the middle lies at its end and the way from there is steep.
         """
-        here = self.scores([middle])[middle]
         sides = {axis: [self._moved(middle, axis, side * step) for side in (-1, 1)] for axis in axes}
-        found = {middle: here} | self.scores([place for pair in sides.values() for place in pair])
+        found = self.scores([middle, *(place for pair in sides.values() for place in pair)])
+        here = found[middle]
         hopes, going, gain = {middle: here}, list(axes), 0.0
         # On a lattice the next round finds some of its candidates tried already.
         far = round(FARTHEST * step / STEPS[-1])

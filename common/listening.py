@@ -1,0 +1,23 @@
+"""A socket to serve on."""
+
+from __future__ import annotations
+
+import socket
+
+from common.errors import ParameterError
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A socket bound to `host` and `port`; 0 takes a free one. Raises ParameterError where that cannot be."""
+    if not 0 <= port <= 65535:
+        raise ParameterError(f"port must be 0 to 65535, got {port}")
+    listener = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((host, port))
+    except OSError as error:
+        listener.close()
+        raise ParameterError(
+            f"cannot listen on {host} port {port}: {error.strerror or error}; choose another --port"
+        ) from error
+    return listener
