@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,7 +18,7 @@ from common.surface import FeatureSet, Region, Units
 from common.wire import MEDIA_TYPE, encode
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
+    from playwright.sync_api import Browser, Page, Route
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
 
@@ -204,6 +205,21 @@ def test_a_removed_surface_goes(page: Page, receiver: str, points: np.ndarray) -
     page.locator("nav li", has_text="hills").wait_for(state="detached")
     assert page.locator("#name").inner_text() == "dales.-_"
     assert httpx.get(f"{receiver}/v1/surfaces/hills").status_code == 404
+
+
+def test_what_comes_while_the_list_is_fetched_is_not_lost(page: Page, receiver: str, points: np.ndarray) -> None:
+    def late(route: Route) -> None:
+        empty = route.fetch()
+        send(receiver, "hills", points)
+        while httpx.get(f"{receiver}/v1/surfaces/hills").json()["state"] != "ready":
+            time.sleep(0.05)
+        time.sleep(1)  # for the events to reach the page before the list does
+        route.fulfill(response=empty)
+
+    page.route("**/v1/surfaces?limit=500", late, times=1)
+    page.reload()
+    page.wait_for_event("requestfinished", lambda request: request.url.endswith("/v1/channel"))
+    page.locator("nav li", has_text="hills").wait_for(timeout=5000)
 
 
 def test_a_failed_training_is_explained(page: Page, receiver: str) -> None:
