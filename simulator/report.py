@@ -25,7 +25,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from common.channel import Channel, Impairment
+from common.channel import Channel
 from simulator.page import (
     DASHES,
     MARKERS,
@@ -49,9 +49,6 @@ HANDLE, LETTER = 0.75, 0.08
 
 SIZES = 1.5
 """Factor between the sizes of a line from which it is worth drawing over them."""
-
-STRENGTHS = ("probability", "p", "ber", "std", "amplitude", "relative", "offset", "seconds")
-"""Parameters of impairments that at 0 leave everything as it is; 0 dB is not among them."""
 
 MAX_LINES = 8
 """Lines in one plot that colour, dash and marker still tell apart."""
@@ -377,13 +374,7 @@ def contests(rows: Sequence[Row]) -> list[Contest]:
 @cache
 def _harms(channel: str) -> bool:
     """Whether a channel, in short form, does anything at all."""
-    return any(map(_acts, Channel.parse(channel).impairments))
-
-
-def _acts(impairment: Impairment) -> bool:
-    given = impairment.model_dump()
-    # The good state of a burst channel, which p = 0 never leaves, may lose packets, too.
-    return given.get("k", 1.0) < 1 or all(given.get(name) != 0 for name in STRENGTHS)
+    return any(impairment.acts for impairment in Channel.parse(channel).impairments)
 
 
 def _of_a_budget(row: Row) -> Row:

@@ -28,14 +28,23 @@ STRENGTH_MAX = 1e100
 class Impairment(BaseModel):
     """Something that befalls datagrams on their way.
 
-    Subclasses declare ``kind: Literal["name"] = "name"`` and their parameters with units and bounds, and override
-    `harm` or `apply`. They hold no state: whatever they draw comes from the `Passage`.
+    Subclasses declare ``kind: Literal["name"] = "name"`` and their parameters with units and bounds, say which of them
+    at 0 does nothing (`idle_at_0`, or else `acts`), and override `harm` or `apply`. They hold no state: whatever they
+    draw comes from the `Passage`.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     kind: str
     probability: Probability = Field(1.0, description="probability that a packet is touched at all, 0 to 1")
+
+    idle_at_0: ClassVar[str | None] = None
+    """The parameter that at 0 leaves everything as it is; None where there is none."""
+
+    @property
+    def acts(self) -> bool:
+        """Whether it ever does anything."""
+        return self.probability > 0 and (self.idle_at_0 is None or getattr(self, self.idle_at_0) != 0)
 
     def apply(self, flight: list[Datagram], passage: Passage) -> list[Datagram]:
         """The datagrams that go on, in order; `flight` is not changed."""
@@ -73,6 +82,11 @@ class PointImpairment(Impairment):
 
     in_data_units: ClassVar[str]
     """The subclass's own parameter for the strength."""
+
+    @property
+    def acts(self) -> bool:
+        """Whether it ever does anything."""
+        return super().acts and 0 not in (self.absolute, self.relative)
 
     @property
     def absolute(self) -> float | None:

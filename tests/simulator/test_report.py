@@ -103,6 +103,8 @@ def test_a_clean_cell_does_not_count_as_harmed() -> None:
         ("bit_errors:ber=0.1,probability=0", None, False),
         ("gilbert_elliott:p=0,r=0.5", 0.0, False),
         ("gilbert_elliott:p=0,r=0.5,k=0.9", 0.0, True),
+        ("gilbert_elliott:p=0.1,r=0.5,k=0.9,probability=0", None, False),
+        ("gilbert_elliott:p=0.1,r=0.5,h=1", None, False),
         ("awgn:ebn0_db=0.0", 0.0, True),
         ("gaussian:snr_db=0", 0.0, True),
         ("lora", None, True),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -22,6 +22,8 @@ class BitErrors(Impairment):
 
     kind: Literal["bit_errors"] = "bit_errors"
     ber: Probability = Field(description="bit-error rate: probability that a bit is flipped, 0 to 1")
+
+    idle_at_0: ClassVar[str | None] = "ber"
 
     def harm(self, datagram: Datagram, passage: Passage) -> Iterable[Datagram]:
         """The datagram with some of its bits flipped."""

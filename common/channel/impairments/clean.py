@@ -15,6 +15,11 @@ class Clean(Impairment):
 
     kind: Literal["clean"] = "clean"
 
+    @property
+    def acts(self) -> bool:
+        """Never."""
+        return False
+
     def harm(self, datagram: Datagram, passage: Passage) -> Iterable[Datagram]:  # noqa: ARG002 - nothing is drawn
         """The datagram itself."""
         return [datagram]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -21,6 +21,8 @@ class Duplication(Impairment):
     kind: Literal["duplication"] = "duplication"
     p: Probability = Field(description="probability that a packet is duplicated, 0 to 1")
     copies: int = Field(1, ge=1, le=MAX_COPIES, description="how many copies are added")
+
+    idle_at_0: ClassVar[str | None] = "p"
 
     def harm(self, datagram: Datagram, passage: Passage) -> Iterable[Datagram]:
         """The datagram and its copies."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -17,6 +17,8 @@ class Erasure(Impairment):
 
     kind: Literal["erasure"] = "erasure"
     p: Probability = Field(description="probability that a packet is lost, 0 to 1")
+
+    idle_at_0: ClassVar[str | None] = "p"
 
     def harm(self, datagram: Datagram, passage: Passage) -> Iterable[Datagram]:
         """Nothing, or the datagram."""

@@ -39,6 +39,12 @@ class GilbertElliott(Impairment):
     k: Probability = Field(1.0, description="probability that a packet arrives in the good state, 0 to 1")
     h: Probability = Field(0.0, description="probability that a packet arrives in the bad state, 0 to 1")
 
+    @property
+    def acts(self) -> bool:
+        """Whether a packet is ever lost, in a state that is ever reached."""
+        bad = self._stationary
+        return super().acts and (1 - bad) * (1 - self.k) + bad * (1 - self.h) > 0
+
     def apply(self, flight: list[Datagram], passage: Passage) -> list[Datagram]:
         """The datagrams that were not lost."""
         numbers = np.array([datagram.sent.number for datagram in flight], dtype=np.int64)
@@ -65,6 +71,11 @@ class GilbertElliott(Impairment):
             here = numbers // BLOCK == block
             bad[here] = self._states(block, uniforms)[numbers[here] % BLOCK]
         return bad
+
+    @property
+    def _stationary(self) -> float:
+        """Probability that the chain starts bad."""
+        return self.p / (self.p + self.r) if self.p + self.r > 0 else 0.0
 
     # One uniform number u moves the chain a step, from good to bad if u < p, from bad to bad if u < 1 - r. So u below
     # both p and 1 - r leads to bad and u above both to good, whatever was before: from there on the state is known
@@ -95,8 +106,7 @@ class GilbertElliott(Impairment):
                 steps += BLOCK - 1 - int(decided[-1])
                 return bool(u[decided[-1]] < self.p) ^ (flips and steps % 2 == 1)
             steps += BLOCK
-        stationary = self.p / (self.p + self.r) if self.p + self.r > 0 else 0.0
-        start = bool(uniforms(START)[0] < stationary)
+        start = bool(uniforms(START)[0] < self._stationary)
         return start ^ (flips and steps % 2 == 1)
 
 

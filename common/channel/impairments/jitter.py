@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -17,6 +17,8 @@ class Jitter(Impairment):
 
     kind: Literal["jitter"] = "jitter"
     seconds: float = Field(ge=0, le=3600, description="most that is added, seconds")
+
+    idle_at_0: ClassVar[str | None] = "seconds"
 
     def harm(self, datagram: Datagram, passage: Passage) -> Iterable[Datagram]:
         """The datagram, later."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -21,6 +21,8 @@ class Reordering(Impairment):
     kind: Literal["reordering"] = "reordering"
     p: Probability = Field(description="probability that a packet falls back, 0 to 1")
     depth: int = Field(3, ge=1, le=1_000_000, description="most places that a packet falls back by")
+
+    idle_at_0: ClassVar[str | None] = "p"
 
     def apply(self, flight: list[Datagram], passage: Passage) -> list[Datagram]:
         """The same datagrams in another order."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
@@ -18,6 +18,8 @@ class Truncation(Impairment):
     kind: Literal["truncation"] = "truncation"
     p: Probability = Field(description="probability that a packet is cut short, 0 to 1")
     keep: Annotated[float, Field(ge=0, lt=1, description="least share of the bytes that arrives, 0 to below 1")] = 0.0
+
+    idle_at_0: ClassVar[str | None] = "p"
 
     def harm(self, datagram: Datagram, passage: Passage) -> Iterable[Datagram]:
         """The datagram, or its head."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -165,6 +166,22 @@ def test_applied_with_probability_0_it_does_nothing(model: type[Impairment], few
     assert delivery.packets == tuple(few_packets)
     assert not delivery.faults
     assert not delivery.seconds
+
+
+def plain_or_idle() -> list[Impairment]:
+    """Every impairment, as it comes and with each of its parameters at 0 or 1, where it may be."""
+    built = [build(model) for model in IMPAIRMENTS]
+    for model in HARMFUL:
+        for name in model.model_fields:
+            for value in (0, 1):
+                with suppress(ValidationError):
+                    built.append(build(model, **{name: value}))
+    return built
+
+
+@pytest.mark.parametrize("impairment", plain_or_idle(), ids=repr)
+def test_it_knows_whether_it_acts(impairment: Impairment, few_packets: list[bytes]) -> None:
+    assert impairment.acts == any(send(impairment, few_packets, seed=seed).faults for seed in range(5))
 
 
 @pytest.mark.parametrize("model", IMPAIRMENTS)
