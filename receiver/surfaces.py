@@ -176,7 +176,13 @@ class Surfaces:
         fates: dict[str, int] = {"new": 0, "duplicate": 0, "foreign": 0}
         fresh: list[Packet] = []
         for packet in packets:
-            fate = reassembly.add(packet)
+            try:
+                fate = reassembly.add(packet)
+            except ConflictError as error:
+                raise ConflictError(
+                    f"{error}; an earlier transmission under this id holds other points: take another id, or remove it "
+                    f"first (DELETE /v1/surfaces/{name})"
+                ) from error
             fates[fate] += 1
             if fate == "new":
                 fresh.append(packet)

@@ -18,12 +18,6 @@ from common.wire.points import Written, check_block, decode_packets
 
 Arrival: TypeAlias = Literal["new", "duplicate", "foreign"]
 
-WAY_OUT = (
-    "an earlier transmission under this id holds other points; take another id, or remove it first "
-    "(DELETE /v1/surfaces/{id})"
-)
-"""What to do about a conflict."""
-
 
 class Reassembly:
     """What arrived of one transmission.
@@ -185,12 +179,12 @@ def _require_agreement(known: Header, other: Header) -> None:
     if known.about() != other.about():
         raise ConflictError(
             f"a packet belongs to another feature set: it says {other.total} packets over {other.region.bounds}, those "
-            f"before it {known.total} over {known.region.bounds}; {WAY_OUT}"
+            f"before it {known.total} over {known.region.bounds}"
         )
     if not known.altered and not other.altered and (known.form, known.grid) != (other.form, other.grid):
-        raise ConflictError(f"a packet writes its points in another form than those before it; {WAY_OUT}")
+        raise ConflictError("a packet writes its points in another form than those before it")
 
 
 def _require_same_points(known: Packet, other: Packet) -> None:
     if not known.header.altered and not other.header.altered and known.block != other.block:
-        raise ConflictError(f"two packets are number {other.sequence}, with other points each; {WAY_OUT}")
+        raise ConflictError(f"two packets are number {other.sequence}, with other points each")
