@@ -139,7 +139,8 @@ async def transmit(
 ) -> schemas.Receipt:
     """Packets of a surface, all or some of them, in any order, as often as you like: those that are here already
     change nothing. What is acknowledged survives a restart. The network is trained on all that is here whenever a body
-    changed it; its settings are query parameters, and hold on for later bodies until they are given anew."""
+    changed it; its settings are query parameters, and hold on for later bodies until they are given anew. Each is taken
+    back by its default: `spread=auto`, `smoothing=auto`, `tolerance=0`, `max_centers=all`, `mapping=height`."""
     content_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if content_type not in MEDIA_TYPES:
         raise MediaTypeError(f"a body of packets is accepted as {', '.join(sorted(MEDIA_TYPES))}")

@@ -41,8 +41,8 @@ class Order(BaseModel):
     wire: WireOptions = Field(WireOptions(), description="Packets: size, precision, coding, protection.")
     network: NetworkSettings | None = Field(
         None,
-        description="Settings of the network that the receiver trains; what is left out, or null, stays as it was last "
-        "given for this id, at first the receiver's default.",
+        description="Settings of the network that the receiver trains; what is left out stays as it was last given for "
+        "this id, at first the receiver's default.",
     )
 
 
@@ -102,5 +102,5 @@ async def deliver(prepared: Prepared, order: Order, client: ReceiverClient) -> S
     """Post the packets to the receiver, again where its receipt calls some missing (see `ReceiverClient.send`)."""
     settings: dict[str, Any] | None = None
     if order.network is not None:
-        settings = order.network.model_dump(exclude_unset=True, exclude_none=True)
+        settings = order.network.model_dump(exclude_unset=True)
     return await client.send(prepared.packets, transmission=prepared.id, rounds=order.rounds, network=settings)

@@ -13,6 +13,7 @@ from common.surface import FeatureSet, FloatArray, HeightGrid, Region, Units
 
 PositiveNumber = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NumberFromZero = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+CountFromOne = Annotated[int, Field(ge=1)]
 
 
 class NetworkSettings(BaseModel):
@@ -28,7 +29,7 @@ class NetworkSettings(BaseModel):
         "auto", description="Noise variance over that of the surface; auto."
     )
     tolerance: NumberFromZero = Field(0.0, description="Error at the points, in the units of z.")
-    max_centers: int | None = Field(None, ge=1, description="Most centres chosen; none: every point.")
+    max_centers: Literal["all"] | CountFromOne = Field("all", description="Most centres chosen; all: every point.")
     mapping: Literal["height", "autoassociative"] = Field("height", description="What the network maps.")
 
 
@@ -57,7 +58,8 @@ class SurfaceModel:
         callback: Callback | None = None,
     ) -> Self:
         """Train on the points of `features`; raises PointsError, ParameterError or TrainingError."""
-        network = RBFNetwork(**settings.model_dump(), callback=callback).fit(features.xy, features.z)
+        given = settings.model_dump() | ({"max_centers": None} if settings.max_centers == "all" else {})
+        network = RBFNetwork(**given, callback=callback).fit(features.xy, features.z)
         network.set_params(callback=None)
         return cls(network, features.region, features.units)
 

@@ -159,6 +159,16 @@ async def test_network_settings_reach_the_network_and_hold_on(client: Client, fe
     assert surface["network"]["spread"] == pytest.approx(1.5)
 
 
+async def test_every_network_setting_can_be_taken_back(client: Client, features: FeatureSet) -> None:
+    await ready(client, features, spread="0.7", smoothing="0.01", tolerance="0.01", max_centers="5")
+    back = {"spread": "auto", "smoothing": "auto", "tolerance": "0", "max_centers": "all"}
+    repeated = await client.transmit("hills", packets_of(features, "hills")[0], params=back)
+    assert repeated.json()["state"] == "training"
+    surface = (await client.get("/v1/surfaces/hills?wait=60")).json()
+    assert NetworkSettings(**surface["settings"]) == NetworkSettings()
+    assert surface["network"]["centers"] == len(features)
+
+
 @pytest.mark.parametrize("query", ["spread=wide", "smoothing=-1", "max_centers=0", "mapping=up", "spred=1"])
 async def test_bad_network_settings_are_refused(client: Client, features: FeatureSet, query: str) -> None:
     answer = await client.transmit(f"hills?{query}", packets_of(features, "hills")[0])

@@ -115,7 +115,7 @@ def test_a_file_is_sent() -> None:
     [
         ({"spread": 0.3, "smoothing": 0}, {"spread": "0.3", "smoothing": "0.0"}),
         ({"spread": "auto", "smoothing": "auto"}, {"spread": "auto", "smoothing": "auto"}),
-        ({"tolerance": 0, "max_centers": None}, {"tolerance": "0.0"}),
+        ({"tolerance": 0, "max_centers": "all"}, {"tolerance": "0.0", "max_centers": "all"}),
         ({}, {}),
         (None, {}),
     ],
