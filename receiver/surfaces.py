@@ -6,6 +6,7 @@ import logging
 from collections import OrderedDict
 from collections.abc import AsyncIterator, Callable, Hashable
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from functools import partial
 from hashlib import sha256
 from typing import Any, Generic, Self, TypeAlias, TypeVar
@@ -87,6 +88,8 @@ class Surfaces:
         self._locks: WeakValueDictionary[str, anyio.Lock] = WeakValueDictionary()
         self._reassemblies: _Recent[Reassembly] = _Recent(cached)
         self._models: _Recent[SurfaceModel] = _Recent(cached)
+        self._unresumed: dict[tuple[int, int], dict[str, Any]] = {}
+        """Why the training of a surface's revision could not be resumed. Not kept: the next start tries again."""
 
     @classmethod
     @asynccontextmanager
@@ -153,7 +156,7 @@ class Surfaces:
         contents = schemas.Contents.model_validate(row.contents)
         return schemas.Receipt(
             id=name,
-            state=schemas.state_of(row),
+            state=schemas.state_of(self._now(row)),
             packets=PacketsNamed(**dict(contents.packets), missing=missing),
             points=contents.points,
             complete=contents.complete,
@@ -228,6 +231,8 @@ class Surfaces:
     # Training
 
     def _start(self, row: Row, features: FeatureSet) -> None:
+        self._unresumed.pop((row.n, row.revision), None)
+
         def work(callback: Callable[[str, float], None]) -> SurfaceModel:
             with self.metrics.training():
                 return self._train(features, NetworkSettings(**row.settings), callback=callback)
@@ -235,14 +240,20 @@ class Surfaces:
         self.trainings.start(row.id, work, partial(self._finish, row))
 
     async def _resume(self, name: str) -> None:
-        """Train what is here of `name`, unless that is done or under way."""
+        """Train what is here of `name`, unless that is done or under way; where it cannot be read, say so."""
         async with self._lock(name):
+            row = None
             try:
-                row, reassembly = await run_in_thread(self._reassembly, name)
+                row = await run_in_thread(self.store.find, name)
                 if row is not None and schemas.state_of(row) == "training" and self.trainings.get(name) is None:
+                    _, reassembly = await run_in_thread(self._reassembly, name)
                     self._start(row, await run_in_thread(reassembly.features))
-            except SurfacelinkError:
+            except SurfacelinkError as error:
                 logger.exception("training of %s could not be resumed", name)
+                if row is not None:
+                    failure = StoreError(f"what was kept of {name} cannot be read: {error}; send its packets again")
+                    self._unresumed[row.n, row.revision] = problem_of(failure).model_dump(exclude_none=True)
+                    self.changes.publish(name)
 
     async def _finish(self, row: Row, outcome: SurfaceModel | SurfacelinkError) -> None:
         if isinstance(outcome, SurfacelinkError):
@@ -259,12 +270,17 @@ class Surfaces:
 
     # Answering
 
+    def _now(self, row: Row) -> Row:
+        """`row` with what the store does not know of it."""
+        problem = self._unresumed.get((row.n, row.revision))
+        return row if problem is None else replace(row, failed=row.revision, error=problem)
+
     def _progress(self, name: str) -> schemas.Progress | None:
         job = self.trainings.get(name)
         return None if job is None else schemas.Progress(stage=job.stage, fraction=job.fraction)
 
     def _info(self, row: Row) -> schemas.SurfaceInfo:
-        return schemas.surface_info(row, self._progress(row.id))
+        return schemas.surface_info(self._now(row), self._progress(row.id))
 
     async def info(self, name: str) -> schemas.SurfaceInfo:
         """What is known of `name`; raises NotFoundError."""
@@ -282,10 +298,10 @@ class Surfaces:
     async def settle(self, name: str, seconds: float) -> Row:
         """`name` once it is ready or failed, or after `seconds` as it is then; raises NotFoundError."""
         with self.changes.subscribe(name) as subscription:
-            row = await run_in_thread(self.store.get, name)
+            row = self._now(await run_in_thread(self.store.get, name))
             with anyio.move_on_after(seconds):
                 while schemas.state_of(row) not in ("ready", "failed") and await subscription.next() is not None:
-                    row = await run_in_thread(self.store.get, name)
+                    row = self._now(await run_in_thread(self.store.get, name))
         return row
 
     async def model(self, name: str, wait: float = 0.0) -> tuple[Row, SurfaceModel]:

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+import json
 import sqlite3
 import threading
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -183,25 +185,65 @@ async def test_a_store_that_fails_once_delays_an_outcome_and_no_more(
         assert not failures
 
 
-async def test_a_surface_that_could_not_be_resumed_is_trained_when_its_packets_come_again(
+async def test_a_surface_that_cannot_be_resumed_has_failed_until_its_packets_come_again(
     running: Running, features: FeatureSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     body = b"".join(packets_of(features, "hills"))
     async with running(train=stuck) as client:
         await client.transmit("hills", body)
-    arrivals, failed, healthy = Store.arrivals, threading.Event(), threading.Event()
+    arrivals, tried, healthy = Store.arrivals, threading.Event(), threading.Event()
 
     def failing(store: Store, n: int) -> list[bytes]:
         if healthy.is_set():
             return arrivals(store, n)
-        failed.set()
+        tried.wait(10)
         raise StoreError("the store failed: disk I/O error")
 
     monkeypatch.setattr(Store, "arrivals", failing)
     async with running() as client:
-        with anyio.fail_after(10):
-            while not failed.is_set():
+        async with anyio.create_task_group() as group:
+
+            async def follow() -> None:
+                with anyio.fail_after(10):
+                    events = (await client.get("/v1/surfaces/hills/events")).text
+                assert [json.loads(line.removeprefix("data: "))["state"] for line in events.splitlines()[1::3]] == [
+                    "training",
+                    "failed",
+                ]
+
+            group.start_soon(follow)
+            while not client.app.state.surfaces.changes._subscriptions:
                 await anyio.sleep(0.005)
+            tried.set()
+        surface = (await client.get("/v1/surfaces/hills?wait=60")).json()
+        assert (surface["state"], surface["error"]["type"]) == ("failed", "/problems/store")
+        assert "disk I/O error; send its packets again" in surface["error"]["detail"]
+        assert (await client.get("/v1/surfaces")).json()["surfaces"] == [surface]
+        assert "disk I/O error" in (await client.get("/v1/surfaces/hills/grid")).json()["detail"]
         healthy.set()
-        assert (await client.transmit("hills", body)).json()["delivery"]["new"] == 0
+        receipt = (await client.transmit("hills", body)).json()
+        assert (receipt["state"], receipt["delivery"]["new"]) == ("training", 0)
+        assert (await client.get("/v1/surfaces/hills?wait=60")).json()["state"] == "ready"
+
+
+async def test_kept_packets_that_are_harmed_fail_until_the_next_start(
+    running: Running, features: FeatureSet, tmp_path: Path
+) -> None:
+    async with running(train=stuck) as client:
+        await client.transmit("hills", b"".join(packets_of(features, "hills")))
+
+    def write(packets: bytes) -> bytes:
+        with closing(sqlite3.connect(tmp_path / "data" / "receiver.sqlite3")) as db, db:
+            ((before,),) = db.execute("SELECT packets FROM arrivals").fetchall()
+            db.execute("UPDATE arrivals SET packets = ?", (packets,))
+        return bytes(before)
+
+    kept = write(b"\x00" * 100)
+    async with running() as client:
+        with anyio.fail_after(10):
+            surface = (await client.get("/v1/surfaces/hills?wait=60")).json()
+        assert surface["state"] == "failed"
+        assert "cannot be read" in surface["error"]["detail"]
+    write(kept)
+    async with running() as client:
         assert (await client.get("/v1/surfaces/hills?wait=60")).json()["state"] == "ready"
