@@ -30,6 +30,10 @@ SLOWEST_LINK = 100.0
 """Bits a second at which a body is given its time on the link: less than half of LoRa's lowest rate, see
 `common.channel.profiles`."""
 
+PROBES = 5
+"""Signs of life that a receiver may owe one after the other, asked for `READ_TIMEOUT` apart and each given as long,
+before it counts as hanging: on a slow link they share the line with the body."""
+
 MAX_BODY_BYTES = 4 << 20
 """A longer run of packets is posted in several bodies: well below what the receiver accepts in one."""
 
@@ -96,12 +100,15 @@ class ReceiverClient:
         Awaited between tries; replace it to run without a clock.
     rng : numpy.random.Generator
         Draws the jitter of the pauses; never part of a result.
+    tick : callable
+        Awaited between the signs of life that are asked for while a body is on its way.
     """
 
     http: httpx.AsyncClient
     retry: RetryPolicy = RetryPolicy()
     sleep: Sleep = anyio.sleep
     rng: np.random.Generator = field(default_factory=np.random.default_rng)
+    tick: Sleep = anyio.sleep
 
     @classmethod
     def connect(
@@ -148,7 +155,8 @@ class ReceiverClient:
         Raises
         ------
         LinkError
-            If the receiver cannot be reached or its answer makes no sense.
+            If the receiver cannot be reached, shows no sign of life while a body is on its way, or its answer makes no
+            sense.
         SurfacelinkError
             As the receiver's problem says.
         """
@@ -276,11 +284,43 @@ class ReceiverClient:
         """Remove a surface and all that was received of it."""
         await self._request("DELETE", f"/v1/surfaces/{transmission}")
 
+    async def _answer(self, method: str, path: str, **options: Any) -> httpx.Response:
+        """The answer to one request, however long it takes as long as the receiver is alive.
+
+        A link that takes its time, simulated or real, is silent once the body is out, and so is a receiver that hangs.
+        Only another question tells them apart.
+        """
+        answer: httpx.Response | httpx.HTTPError | SurfacelinkError = LinkError(
+            f"the receiver at {self.http.base_url} hangs: it took a request and answers no other; start it again"
+        )
+        async with anyio.create_task_group() as group:
+            group.start_soon(self._watch, group.cancel_scope)
+            try:
+                answer = await self.http.request(method, path, **options)
+            except (httpx.HTTPError, SurfacelinkError) as error:
+                answer = error  # raised here, it would come out wrapped in a group
+            group.cancel_scope.cancel()
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    async def _watch(self, scope: anyio.CancelScope) -> None:
+        """Cancel `scope` once the receiver owes `PROBES` signs of life."""
+        owed = 0
+        while owed < PROBES:
+            await self.tick(READ_TIMEOUT)
+            try:
+                sign = await self.http.get("/health/live", timeout=READ_TIMEOUT)
+                owed = owed + 1 if sign.is_server_error else 0
+            except httpx.TransportError:
+                owed += 1
+        scope.cancel()
+
     async def _request(self, method: str, path: str, **options: Any) -> httpx.Response:
         for failures in range(1, self.retry.tries + 1):
             last = failures == self.retry.tries
             try:
-                answer = await self.http.request(method, path, **options)
+                answer = await self._answer(method, path, **options)
             except httpx.TransportError as error:
                 if last:
                     raise LinkError(

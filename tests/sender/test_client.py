@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import anyio
+import anyio.lowlevel
 import httpx
 import numpy as np
 import pytest
@@ -113,6 +114,60 @@ def test_a_body_is_given_its_time_on_the_slowest_link(size: int) -> None:
     timeout = receiver.requests[0].extensions["timeout"]
     assert timeout["read"] >= module.READ_TIMEOUT + on_the_link
     assert timeout["connect"] == module.CONNECT_TIMEOUT
+
+
+class SlowReceiver:
+    """Answers a POST after as many ticks as `signs`, one of which each sign of life answers or owes; or never."""
+
+    def __init__(self, signs: list[httpx.Response | Exception], *, answers: bool) -> None:
+        self.signs = list(signs)
+        self.answers = answers
+        self.ticks: list[float] = []
+        self.heard_out = anyio.Event()
+
+    async def handle(self, request: httpx.Request) -> httpx.Response:
+        if request.method == "POST":
+            await (self.heard_out.wait() if self.answers else anyio.sleep_forever())
+            return accepted([])
+        assert request.url.path == "/health/live"
+        sign = self.signs.pop(0)
+        if not self.signs:
+            self.heard_out.set()
+        if isinstance(sign, Exception):
+            raise sign
+        return sign
+
+    async def tick(self, seconds: float) -> None:
+        self.ticks.append(seconds)
+        await anyio.lowlevel.checkpoint()
+
+    def send(self) -> Any:
+        async def go() -> Any:
+            http = httpx.AsyncClient(base_url=URL, transport=httpx.MockTransport(self.handle))
+            async with ReceiverClient(http, tick=self.tick) as client:
+                with anyio.fail_after(20):
+                    return await client.send([bytes(module.MAX_BODY_BYTES)], transmission="a")
+
+        return anyio.run(go)
+
+
+OWED: list[httpx.Response | Exception] = [httpx.ReadTimeout(""), httpx.ConnectTimeout(""), httpx.Response(502)]
+
+
+def test_a_slow_link_is_waited_for_while_the_receiver_is_alive() -> None:
+    seldom = [*OWED, httpx.Response(200), *OWED[:1], httpx.Response(404)]
+    receiver = SlowReceiver(seldom * 100, answers=True)
+    assert receiver.send().receipt.complete
+    assert len(receiver.ticks) >= 600
+
+
+@pytest.mark.parametrize("sign", OWED, ids=repr)
+def test_a_receiver_that_hangs_is_noticed_within_minutes(sign: httpx.Response | Exception) -> None:
+    receiver = SlowReceiver([httpx.Response(200), *[sign] * 100], answers=False)
+    with pytest.raises(LinkError, match="hangs"):
+        receiver.send()
+    assert len(receiver.ticks) == 1 + module.PROBES
+    assert 2 * module.READ_TIMEOUT * module.PROBES <= 600
 
 
 def test_a_receiver_that_takes_too_long_is_not_said_to_be_down() -> None:
