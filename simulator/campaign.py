@@ -206,8 +206,12 @@ class Trial(Settings):
 
     @property
     def digest(self) -> str:
-        """Stands for the transmission: everything but the sample and the methods, which share one."""
-        return _digest(self.model_dump_json(exclude={"methods", "sample"}))[:10]
+        """Stands for the transmission: everything but the sample and the methods, which share one.
+
+        The name of a file counts, since its cloud is drawn by it: a receiver takes what has one id for one cloud.
+        """
+        name = "" if self.surface.file is None else f"{self.surface.label}\n"
+        return _digest(name + self.model_dump_json(exclude={"methods", "sample"}))[:10]
 
 
 def _digest(text: str) -> str:

@@ -229,6 +229,13 @@ def test_files_of_equal_contents_are_told_apart_by_their_names(tmp_path: Path) -
         rows = run_campaign(plan(*names), tmp_path / "out", workers=1)
         assert [row["surface"] for row in rows] == list(names)
         assert rows == rows_of(plan(*names))
+        assert len({row["transmission"] for row in rows}) == len(names)
+
+
+def test_the_transmissions_of_named_surfaces_are_those_of_the_published_campaigns() -> None:
+    # Their harm is drawn by these ids.
+    (trial,) = Campaign.build({"name": "small", "surfaces": ["surface-1"], "channels": ["clean"], "seeds": 1}).trials()
+    assert trial.digest == "b0dda5b141"
 
 
 def test_a_file_that_is_no_surface_says_so(tmp_path: Path) -> None:
