@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from common.errors import LimitError, PacketError
-from common.surface import BoolArray, IntArray
+from common.surface import BoolArray, FloatArray, IntArray
 from common.wire.cells import Cells
 from common.wire.header import LATTICES, Grid, Header
 from common.wire.limits import MAX_COMPACT_POINTS, MAX_DECODING_WORK
@@ -135,11 +135,21 @@ class Batch(NamedTuple):
 class Effort:
     """What the entropy-coded packets of a body may cost.
 
-    Packets are decoded `LANES` at a time, symbol by symbol: each costs as much as the longest beside it.
+    Packets are decoded `LANES` at a time, symbol by symbol: each costs as much as the longest beside it. A packet that
+    came before, as copies do, costs nothing.
+
+    Attributes
+    ----------
+    headers : dict
+        The headers there were, numbered.
+    known : dict
+        The points of the packets that were read, None for malformed ones, by number of header, sequence and block.
     """
 
     def __init__(self) -> None:
         self._left = MAX_DECODING_WORK
+        self.headers: dict[Header, int] = {}
+        self.known: dict[tuple[int, int, bytes], FloatArray | None] = {}
 
     def spend(self, packets: int, symbols: int) -> None:
         """So many packets are about to be read so many symbols further; raises LimitError where that is too much."""
@@ -186,10 +196,14 @@ def read_steps(
 
     Raises LimitError where that takes more than is left of `effort`.
     """
-    found: list[Steps | None] = []
-    for start in range(0, len(blocks), LANES):
-        part = slice(start, start + LANES)
-        found += _read(_Layout(sequences[part], headers[part]), blocks[part], effort)
+    found: list[Steps | None] = [None] * len(blocks)
+    # Long ones beside long ones: each costs as much as the longest beside it.
+    order = sorted(range(len(blocks)), key=lambda i: len(blocks[i]))
+    for start in range(0, len(order), LANES):
+        lanes = order[start : start + LANES]
+        layout = _Layout([sequences[i] for i in lanes], [headers[i] for i in lanes])
+        for i, steps in zip(lanes, _read(layout, [blocks[i] for i in lanes], effort), strict=True):
+            found[i] = steps
     return found
 
 
@@ -282,16 +296,16 @@ def _code_counts(
 ) -> IntArray:
     """How many points the cells hold: on a lattice one, else what is coded."""
     found = np.where(layout.is_lattice[:, None], counts, 0)
-    coded = layout.present & ~layout.is_lattice[:, None]
-    for i in range(counts.shape[1]):
-        active = coded[:, i]
-        while active.any():
-            if effort:
-                effort.spend(len(counts), 1)
-            symbol = np.minimum(counts[:, i] - found[:, i], _MORE)
-            symbol = coder.symbol(_COUNTS, parameters.counts, symbol, active)
-            found[:, i] += symbol
-            active = active & (symbol == _MORE) & (found[:, i] <= MAX_COMPACT_POINTS)
+    cells = np.where(layout.is_lattice, 0, np.count_nonzero(layout.present, axis=1))
+    lanes, cell = np.arange(len(counts)), np.zeros(len(counts), dtype=np.int64)
+    # Each packet goes on to its next cell by itself: none waits for another that has a fuller one.
+    while (active := cell < cells).any():
+        if effort:
+            effort.spend(len(counts), 1)
+        here = lanes, np.minimum(cell, counts.shape[1] - 1)
+        symbol = coder.symbol(_COUNTS, parameters.counts, np.minimum(counts[here] - found[here], _MORE), active)
+        found[here] += symbol
+        cell += (symbol < _MORE) | (found[here] > MAX_COMPACT_POINTS)
     return found
 
 

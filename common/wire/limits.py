@@ -21,11 +21,6 @@ MAX_COMPACT_POINTS = 512
 """Points of a packet whose points are entropy-coded: more than fit the longest datagram unless hardly anything is said
 of each. Alone, a packet of so many takes most of a tenth of a second; among others, less than a millisecond."""
 
-MAX_DECODING_WORK = 2**29
-"""Symbols that a decoder reads of entropy-coded packets, as `Effort` counts them; a point counts as eight. A packet of
-30 bytes may hold 4,096 empty cells, or 512 points that say nothing, so bytes alone bound no time. The most points take
-an eighth of this; what is beyond would take more than two minutes."""
-
 MAX_CELLS_PER_PACKET = 4_096
 """Cells of a compact packet, empty ones included; a sender makes them so large that half of them hold points."""
 
@@ -37,6 +32,11 @@ MAX_PACKETS = 262_144
 
 MAX_POINTS = 4_000_000
 """Points of one transmission: 96 MB of coordinates at the receiver."""
+
+MAX_DECODING_WORK = 13 * MAX_POINTS
+"""Symbols that a decoder reads of entropy-coded packets, as `Effort` counts them; a point counts as eight. A packet of
+30 bytes may hold 4,096 empty cells, or 512 points that say nothing, so bytes alone bound no time. Lattices take 8 for
+each point, clouds and extrema 9 to 11, the track of a ship 12; the most points take about ten seconds."""
 
 MAX_BODY = 128 * 1024 * 1024
 """Bytes fed to one decoder: the most points, in the widest form."""

@@ -95,15 +95,24 @@ def decode_packets(written: Sequence[Written], effort: Effort) -> list[Packet | 
         if each.has_points:
             alike[id(each.header)].append(index)
     # Those that are entropy-coded are read together even where each has a header of its own.
-    coded = [i for indices in alike.values() if written[indices[0]].header.form in COMPACTS for i in indices]
-    chosen = [written[i] for i in coded]
+    keys: dict[int, tuple[int, int, bytes]] = {}
+    for indices in alike.values():
+        header = written[indices[0]].header
+        if header.form in COMPACTS:
+            place = effort.headers.setdefault(header, len(effort.headers))
+            keys |= {i: (place, written[i].sequence, written[i].block) for i in indices}
+    fresh = {key: i for i, key in reversed(keys.items()) if key not in effort.known}.values()
+    chosen = [written[i] for i in fresh]
     steps = dict(
-        zip(coded, compact.read_steps(*_columns(chosen), [each.header for each in chosen], effort), strict=True)
+        zip(fresh, compact.read_steps(*_columns(chosen), [each.header for each in chosen], effort), strict=True)
     )
     for indices in alike.values():
         header = written[indices[0]].header
         if header.form in COMPACTS:
-            parts = _located([steps[i] for i in indices], header)
+            first = [i for i in indices if i in steps]
+            located = _located([steps[i] for i in first], header)
+            effort.known.update(zip((keys[i] for i in first), located, strict=True))
+            parts = [effort.known[keys[i]] for i in indices]
         else:
             parts = _read(*_columns([written[i] for i in indices]), header)
         for i, points in zip(indices, parts, strict=True):

@@ -7,6 +7,7 @@ import tracemalloc
 import zlib
 from collections.abc import Callable
 from itertools import zip_longest
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from common.wire import PacketDecoder, Reassembly, WireOptions, encode, rans, sp
 from common.wire.cells import Cells
 from common.wire.framing import frame
 from common.wire.header import Form, Grid, Header
+from common.wire.limits import MAX_DECODING_WORK, MAX_POINTS
 from common.wire.numbers import Interval
 from common.wire.packet import write_datagrams
 
@@ -235,6 +237,57 @@ def test_what_a_body_takes_to_decode_is_bounded_however_it_is_fed(
     with pytest.raises(LimitError, match="symbols to decode"):
         feed(work - 1)
     assert sum(symbols) < work
+
+
+def track(n: int) -> FeatureSet:
+    """`n` points along a line that meanders, dense in few cells."""
+    x = np.linspace(-1, 1, n)
+    return FeatureSet(np.column_stack([x, np.sin(40 * x), np.random.default_rng(4).normal(size=n)]), FEATURES.region)
+
+
+def spread_out(n: int) -> FeatureSet:
+    """`n` points at random places, all of one height."""
+    return FeatureSet(np.column_stack([np.random.default_rng(5).uniform(-1, 1, (n, 2)), np.zeros(n)]), FEATURES.region)
+
+
+@pytest.mark.parametrize(
+    ("features", "options"),
+    [
+        (track(150_000), {"datagram": 1400}),
+        (track(150_000), {"datagram": 1400, "copies": 2}),
+        (spread_out(60_000), {"datagram": 96}),
+        (spread_out(60_000), {"datagram": 256, "precision": 4}),
+        (spread_out(60_000), {"datagram": 1400, "precision": 24}),
+    ],
+    ids=["track", "copies", "short datagrams", "few bits", "long datagrams"],
+)
+def test_the_most_points_are_decoded_within_the_bound(
+    features: FeatureSet, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("common.wire.compact.MAX_DECODING_WORK", MAX_DECODING_WORK * len(features) // MAX_POINTS)
+    datagrams = encode(features, transmission="t", options=WireOptions(coding="compact", **options))
+    packets = PacketDecoder().feed(b"".join(datagrams))
+    assert packets[0].header.form == Form.COMPACT
+    assert len(packets) == len(datagrams)
+    copies = options.get("copies", 1)
+    assert sum(len(packet.points) for packet in packets) == copies * len(features)
+
+
+@pytest.mark.parametrize("size", [1, 4, 100])
+def test_copies_cost_nothing_and_are_the_same(size: int, monkeypatch: pytest.MonkeyPatch, symbols: list[int]) -> None:
+    datagrams = encode(FEATURES, transmission="t", options=WireOptions(coding="compact", datagram=96, copies=3))
+    once = len(datagrams) // 3
+    steps = []
+    for feeds in (datagrams[:once], datagrams):
+        symbols.clear()
+        decoder = PacketDecoder()
+        packets = [p for i in range(0, len(feeds), size) for p in decoder.feed(b"".join(feeds[i : i + size]))]
+        steps.append(sum(symbols))
+    assert steps[0] == steps[1]
+    assert [packet.number for packet in packets] == list(range(3 * once))
+    for packet in packets:
+        assert np.array_equal(packet.points, packets[packet.sequence].points)
+        assert packet.points.size
 
 
 def test_what_a_channel_cannot_decode_within_bounds_is_no_packet(monkeypatch: pytest.MonkeyPatch) -> None:
