@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import csv
+import gzip
 import io
 import lzma
 import re
 import zlib
-from collections.abc import Mapping, Sequence
-from gzip import BadGzipFile, GzipFile
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -20,6 +20,11 @@ from common.surface import FloatArray, as_points
 
 FORMATS = (".csv", ".txt", ".xyz", ".npy")
 """Endings that are understood; the text formats also compressed, as .gz or .xz."""
+
+UNPACKERS: Mapping[str, Callable[[io.BytesIO], io.BufferedIOBase]] = MappingProxyType(
+    {".gz": lambda data: gzip.GzipFile(fileobj=data), ".xz": lzma.LZMAFile}
+)
+"""Ending of a compressed file -> what opens it."""
 
 NPY_HEADERS = MappingProxyType(
     {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
@@ -111,13 +116,12 @@ def _check_count(count: int, name: str, most: int | None) -> None:
 
 def _unpacked(data: bytes, name: str) -> tuple[bytes, str]:
     suffix = Path(name).suffix.lower()
-    try:
-        if suffix == ".gz":
-            data, name = GzipFile(fileobj=io.BytesIO(data)).read(MAX_FILE_BYTES + 1), name[: -len(suffix)]
-        elif suffix == ".xz":
-            data, name = lzma.LZMADecompressor().decompress(data, MAX_FILE_BYTES + 1), name[: -len(suffix)]
-    except (BadGzipFile, EOFError, lzma.LZMAError, zlib.error) as error:
-        raise FileFormatError(f"{name} is not a {suffix} file: {error}") from error
+    if suffix in UNPACKERS:
+        try:
+            with UNPACKERS[suffix](io.BytesIO(data)) as file:
+                data, name = file.read(MAX_FILE_BYTES + 1), name[: -len(suffix)]
+        except (gzip.BadGzipFile, EOFError, lzma.LZMAError, zlib.error) as error:
+            raise FileFormatError(f"{name} is not a {suffix} file: {error}") from error
     if len(data) > MAX_FILE_BYTES:
         raise FileFormatError(f"{name} holds more than {MAX_FILE_BYTES >> 20} MiB")
     return data, name

@@ -43,6 +43,7 @@ def npy(array: np.ndarray) -> bytes:
         (b"a,b,z\n0,1,2.5\n3,4,-5\n", "a.csv", None),
         (gzip.compress(TEXT, mtime=0), "a.csv.gz", None),
         (lzma.compress(TEXT), "a.csv.xz", None),
+        (lzma.compress(TEXT[:14]) + lzma.compress(TEXT[14:]), "a.csv.xz", None),  # as parallel packers write it
         (npy(POINTS), "a.npy", None),
         (npy(POINTS.astype(np.float32)), "a.npy", None),
     ],
@@ -89,6 +90,8 @@ def test_a_header_that_promises_too_many_points_is_enough_to_refuse_a_file() -> 
         (npy(np.array([{}], dtype=object)), "a.npy", "not an NPY file"),
         (b"not gzip", "a.csv.gz", "not a .gz file"),
         (b"not xz", "a.csv.xz", "not a .xz file"),
+        (gzip.compress(TEXT, mtime=0)[:-9], "a.csv.gz", "not a .gz file"),
+        (lzma.compress(TEXT)[:-9], "a.csv.xz", "not a .xz file"),
     ],
 )
 def test_a_file_that_holds_no_points_says_why(data: bytes, name: str, message: str) -> None:
