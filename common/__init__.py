@@ -1,1 +1,1 @@
-"""What both ends must agree on: data types, wire format, channel, network. No HTTP, no sockets, no clocks, no files."""
+"""What both ends must agree on: data types, wire format, channel, network. No HTTP, no clocks, no files."""

@@ -1,4 +1,4 @@
-"""A socket to serve on."""
+"""The socket that a service listens on."""
 
 from __future__ import annotations
 
@@ -8,16 +8,26 @@ from common.errors import ParameterError
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """A socket bound to `host` and `port`; 0 takes a free one. Raises ParameterError where that cannot be."""
+    """A socket that listens on `host` and `port`; 0 takes a free one. Raises ParameterError where that cannot be.
+
+    Who connects before the service is up waits for it.
+    """
     if not 0 <= port <= 65535:
         raise ParameterError(f"port must be 0 to 65535, got {port}")
     listener = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind((host, port))
+        listener.listen()
     except OSError as error:
         listener.close()
         raise ParameterError(
             f"cannot listen on {host} port {port}: {error.strerror or error}; choose another --port"
         ) from error
     return listener
+
+
+def url_of(listener: socket.socket) -> str:
+    """Where a client finds what is served on `listener`."""
+    host, port, *_ = listener.getsockname()
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"

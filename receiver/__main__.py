@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from common.errors import SurfacelinkError
-from common.listening import listen
+from common.listening import listen, url_of
 from common.problems import problem_of_fields
 from receiver.app import create_app
 from receiver.settings import Settings
@@ -102,12 +102,10 @@ def serve(
     except SurfacelinkError as error:
         raise _fail(error.detail) from None
     logging.captureWarnings(True)
-    bound = listener.getsockname()[1]
-    shown = f"[{settings.host}]" if ":" in settings.host else settings.host
 
     def announce() -> None:
         out = Console(soft_wrap=True, highlight=False)
-        out.print(f"receiver  http://{shown}:{bound}")
+        out.print(f"receiver  {url_of(listener)}")
         out.print(f"data      {escape(str(settings.data.resolve()))}")
         out.print(f"channel   {escape(str(application.state.channel))}")
 

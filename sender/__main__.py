@@ -19,7 +19,7 @@ from rich.text import Text
 
 from common.channel import Channel
 from common.errors import ParameterError, SurfacelinkError
-from common.listening import listen
+from common.listening import listen, url_of
 from common.problems import problem_of_fields
 from common.surface import Unit
 from common.wire import WireOptions
@@ -58,11 +58,10 @@ def serve(
     except ValidationError as error:
         raise ParameterError(problem_of_fields(error.errors()).detail) from error
     ReceiverClient.connect(settings.receiver)
-    config = uvicorn.Config(create_app(settings), host=settings.host, port=settings.port, log_level="warning")
-    listener = listen(settings.host, settings.port)
-    console.print(f"sender    http://{settings.host}:{listener.getsockname()[1]}", highlight=False, soft_wrap=True)
-    console.print(f"receiver  {settings.receiver}", highlight=False, soft_wrap=True)
-    uvicorn.Server(config).run(sockets=[listener])
+    with listen(settings.host, settings.port) as listener:
+        console.print(f"sender    {url_of(listener)}", highlight=False, soft_wrap=True)
+        console.print(f"receiver  {settings.receiver}", highlight=False, soft_wrap=True)
+        uvicorn.Server(uvicorn.Config(create_app(settings), log_level="warning")).run(sockets=[listener])
 
 
 @app.command()

@@ -19,7 +19,7 @@ from rich.text import Text
 
 from common.channel import Channel
 from common.errors import ParameterError, SurfacelinkError
-from common.listening import listen
+from common.listening import listen, url_of
 from sender.surfaces import find_surface
 from simulator.demo import DEMO_SURFACES, Trial, run_demo, steps, write_pictures
 from simulator.paper import paper_command
@@ -151,10 +151,10 @@ def channel(
 ) -> None:
     """Put a channel between any client and any receiver; GET and PUT /v1/channel steer it."""
     proxy = create_proxy(upstream, Channel.parse(spec, seed=seed))
-    listener = listen("127.0.0.1", port)
-    console.print(f"channel   http://127.0.0.1:{listener.getsockname()[1]}", highlight=False, soft_wrap=True)
-    console.print(f"upstream  {upstream}", highlight=False, soft_wrap=True)
-    uvicorn.Server(uvicorn.Config(proxy, log_level="info")).run(sockets=[listener])
+    with listen("127.0.0.1", port) as listener:
+        console.print(f"channel   {url_of(listener)}", highlight=False, soft_wrap=True)
+        console.print(f"upstream  {upstream}", highlight=False, soft_wrap=True)
+        uvicorn.Server(uvicorn.Config(proxy, log_level="info")).run(sockets=[listener])
 
 
 def main() -> None:
