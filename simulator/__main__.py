@@ -18,10 +18,11 @@ from rich.table import Table
 from rich.text import Text
 
 from common.channel import Channel
-from common.errors import ParameterError, SurfacelinkError
+from common.errors import SurfacelinkError
 from common.listening import listen, url_of
 from sender.surfaces import find_surface
 from simulator.demo import DEMO_SURFACES, Trial, run_demo, steps, write_pictures
+from simulator.folder import make_folder
 from simulator.paper import paper_command
 from simulator.proxy import create_proxy
 from simulator.rivals import rivals_command
@@ -54,10 +55,7 @@ def demo(
     names = tuple(surface or DEMO_SURFACES)
     for name in names:
         find_surface(name)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ParameterError(f"cannot write to {out}: {error.strerror}") from error
+    make_folder(out)
     with tempfile.TemporaryDirectory(prefix="data-", dir=out) as data, running(Path(data)) as services:
         columns = (
             SpinnerColumn(),

@@ -23,11 +23,13 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from common.channel import Channel
+from common.metrics import nrmse
 from common.surface import FeatureSet, FloatArray
 from common.wire import WireOptions
-from sender.features import extract_features
+from sender.features import extract_features, piece_of
 from sender.surfaces import Surface, find_surface
 from simulator.campaign import Campaign, Trial
+from simulator.folder import make_folder
 from simulator.methods import parse_method
 from simulator.page import STYLE, TableCell, data_script, page, png, table
 from simulator.progress import progress_bar
@@ -121,19 +123,18 @@ def panels(surface: Surface, *, seed: int = 0, shape: tuple[int, int] = (42, 42)
 
     def grown(method: str, features: FeatureSet) -> tuple[FloatArray, str]:
         z = parse_method(method).heights(features, truth, np.random.default_rng(seed))
-        return z, f"NRMSE {math.sqrt(float(np.mean((z - truth.z) ** 2))) / float(np.ptp(truth.z)):.4f}"
+        return z, f"NRMSE {nrmse(truth.z, z):.4f}"
 
     low, high = _extrema(clean, surface)
-    points: PanelKind = "points"
     return [
         Panel("a", "original surface", "surface", truth.z),
-        Panel("b", f"scattered points, {len(cloud)}", points, cloud),
+        Panel("b", f"scattered points, {len(cloud)}", "points", cloud),
         Panel("c", f"xy projection, gap {surface.gap:g}", "plan", cloud),
-        Panel("d", f"minima, one a piece, {len(low)}", points, low),
-        Panel("e", f"maxima, one a piece, {len(high)}", points, high),
+        Panel("d", f"minima, one a piece, {len(low)}", "points", low),
+        Panel("e", f"maxima, one a piece, {len(high)}", "points", high),
         Panel("f", "network, clean features", "surface", *grown(OURS, clean)),
         Panel("f*", "the same, printed settings", "surface", *grown(PRINTED, clean)),
-        Panel("g", f"noisy features, {len(noisy)}", points, noisy.points),
+        Panel("g", f"noisy features, {len(noisy)}", "points", noisy.points),
         Panel("h", "traditional, noisy features", "surface", *grown(TRADITIONAL, noisy)),
         Panel("i", "network, noisy features", "surface", *grown(OURS, noisy)),
         Panel("i*", "the same, printed settings", "surface", *grown(PRINTED, noisy)),
@@ -143,23 +144,21 @@ def panels(surface: Surface, *, seed: int = 0, shape: tuple[int, int] = (42, 42)
 
 def _extrema(features: FeatureSet, surface: Surface) -> tuple[FloatArray, FloatArray]:
     """Least and greatest of each piece; a piece of one point gives it to both."""
-    column = np.floor((features.points[:, 0] - surface.region.x_min) / surface.gap)
-    row = np.floor((features.points[:, 1] - surface.region.y_min) / surface.gap)
-    _, first = np.unique(row * 1e6 + column, return_index=True)
+    _, first = np.unique(piece_of(features.points, surface.region, surface.gap), return_index=True)
     last = np.append(first[1:], len(features)) - 1
     return features.points[first], features.points[last]
 
 
 def _limits(surface: Surface, of: Sequence[Panel]) -> Limits:
     """Heights drawn: those of the surface; near a pole, those of the points."""
-    heights = of[0].data if surface.name != "surface-1-printed" else of[1].data[:, 2]
-    low, high = np.quantile(heights, [0.0, 1.0 if surface.name != "surface-1-printed" else 0.95])
-    return float(low), float(high)
+    if surface.name == "surface-1-printed":
+        heights = of[1].data[:, 2]
+        return float(heights.min()), float(np.quantile(heights, 0.95))
+    heights = of[0].data
+    return float(heights.min()), float(heights.max())
 
 
-def draw_panel(
-    panel: Panel, surface: Surface, limits: tuple[float, float], figure: Figure, place: tuple[int, int, int]
-) -> None:
+def draw_panel(panel: Panel, surface: Surface, limits: Limits, figure: Figure, place: tuple[int, int, int]) -> None:
     """Draw one panel into a figure at `place` (rows, columns, index)."""
     x, y = surface.region.axes(panel.data.shape if panel.kind == "surface" else (2, 2))
     low, high = limits
@@ -520,8 +519,11 @@ def regenerate(
     readings: Sequence[str] = READINGS,
     progress: Progress = silent,
 ) -> Regenerated:
-    """Write the page, a sheet for every reading and a picture for every panel into the folder `out`."""
-    out.mkdir(parents=True, exist_ok=True)
+    """Write the page, a sheet for every reading and a picture for every panel into the folder `out`.
+
+    Raises ParameterError where the folder cannot be made.
+    """
+    make_folder(out)
     plan = trials(seeds, grid, readings)
     results: list[Result] = Run(plan, run_trial, workers).collect(progress=progress)
     errors = summarise([row for result in results for row in result.rows])

@@ -39,6 +39,7 @@ from simulator.codecs import CODECS, Failure, Sandbox, best
 from simulator.codecs.protection import PROTECTIONS
 from simulator.codecs.survival import expose
 from simulator.fields import field
+from simulator.folder import make_folder
 from simulator.page import DASHES, MARKERS, OKABE_ITO, STYLE, TableCell, illustration, page, png, svg, table
 from simulator.progress import progress_bar
 from simulator.runner import Progress, Row, silent
@@ -123,10 +124,7 @@ def run_rivals(
     Rows have `COLUMNS`: bytes are those allowed, sent those used, nrmse is None for no surface.
     Rivals whose package is not installed, or that cannot be written in the bytes allowed, are left out.
     """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ParameterError(f"cannot write to {out}: {error.strerror}") from error
+    make_folder(out)
     entered = [rival for rival in rivals if rival.points or CODECS[rival.codec].available]
     total = len(contests) * len(entered) * sum(map(len, LEVELS.values()))
     rows: list[Row] = []

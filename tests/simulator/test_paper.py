@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sender.surfaces import find_surface
+from common.errors import ParameterError
+from common.surface import FloatArray
+from sender.surfaces import AnalyticSurface, find_surface
 from simulator import paper
 from simulator.statistics import Spread
 from tests.simulator.test_report import outside
@@ -58,6 +61,26 @@ def test_the_feature_counts_are_the_papers() -> None:
         assert len(by_letter["d"].data) == len(by_letter["e"].data) == count
         assert len(by_letter["g"].data) == 2 * count
         assert np.all(by_letter["d"].data[:, 2] <= by_letter["e"].data[:, 2])
+
+
+class OnNodes(AnalyticSurface):
+    """Sampled at the nodes of a grid, those on the edges of the region among them."""
+
+    def sample(self, rng: np.random.Generator, n: int | None = None) -> FloatArray:
+        return self.grid((17, 17)).points()
+
+
+def test_points_on_the_far_edges_belong_to_the_last_pieces() -> None:
+    surface = find_surface("surface-2")
+    assert isinstance(surface, AnalyticSurface)
+    drawn = paper.panels(OnNodes(**vars(surface)), shape=(8, 8))
+    assert [len(panel.data) for panel in drawn if panel.letter in "de"] == [16, 16]
+
+
+def test_a_folder_that_cannot_be_made_is_our_error(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(ParameterError, match="cannot write to"):
+        paper.regenerate(tmp_path / "file" / "out", seeds=1, workers=1)
 
 
 def finding(surface: str, holds: bool) -> paper.Finding:
