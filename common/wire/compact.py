@@ -21,10 +21,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from common.errors import LimitError, PacketError
+from common.errors import LimitError
 from common.surface import BoolArray, FloatArray, IntArray
-from common.wire.cells import Cells
-from common.wire.header import LATTICES, Grid, Header
+from common.wire.header import LATTICES, Header
 from common.wire.limits import MAX_COMPACT_POINTS, MAX_DECODING_WORK
 from common.wire.rans import Coder, Reader, Tables, Writer, tables
 
@@ -170,7 +169,7 @@ def write_steps(points: Steps, header: Header, most: int | None = None) -> Messa
 
     With `most`, only of so many packets.
     """
-    grid, cells = _grid_of(header)
+    grid, cells = header.grid_and_cells()
     row, column = points.y >> grid.position_bits, points.x >> grid.position_bits
     cell, owner = row * cells.columns + column, cells.owner(row, column, header.total)
     order = np.lexsort((points.x, points.y, points.z, cell, owner))
@@ -207,12 +206,6 @@ def read_steps(
     return found
 
 
-def _grid_of(header: Header) -> tuple[Grid, Cells]:
-    if header.grid is None or header.grid.cells is None:
-        raise PacketError("a compact form without cells")
-    return header.grid, header.grid.cells
-
-
 class _Layout:
     """What their headers and numbers say of where the points of packets lie; one value, or one row, a packet.
 
@@ -223,7 +216,7 @@ class _Layout:
     """
 
     def __init__(self, sequences: Sequence[int], headers: Sequence[Header]) -> None:
-        grids = [_grid_of(header) for header in headers]
+        grids = [header.grid_and_cells() for header in headers]
         self.bits = np.array([grid.position_bits for grid, _ in grids])
         self.height_bits = np.array([grid.height_bits for grid, _ in grids])
         self.columns = np.array([cells.columns for _, cells in grids])

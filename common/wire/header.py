@@ -1,6 +1,6 @@
 """What every packet of a transmission says of it, so that each can be decoded alone.
 
-The layout is the specification's (docs/wire.md); `Header.to_bytes` and `Header.parse` are its two readings.
+The layout is the specification's (docs/wire.md); `Header.lead` and `Header.rest` write it, `Header.parse` reads it.
 """
 
 from __future__ import annotations
@@ -127,6 +127,12 @@ class Header:
     def period(self) -> int:
         """Datagrams of one copy of the transmission."""
         return self.total + self.parity
+
+    def grid_and_cells(self) -> tuple[Grid, Cells]:
+        """The grid and its cells; raises PacketError where the form has none."""
+        if self.grid is None or self.grid.cells is None:
+            raise PacketError(f"the form {self.form.name} has no cells")
+        return self.grid, self.grid.cells
 
     def about(self) -> tuple[object, ...]:
         """What must agree between packets of one transmission, whatever happened to their points."""

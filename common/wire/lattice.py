@@ -11,11 +11,10 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 
-from common.errors import PacketError
 from common.surface import FeatureSet, FloatArray, IntArray, Region
 from common.wire.cells import Cells
 from common.wire.compact import LANES, Steps
-from common.wire.header import Grid, Header
+from common.wire.header import Header
 from common.wire.limits import MAX_CELLS_A_SIDE, MAX_POINTS_PER_PACKET
 
 TOLERANCE = 1e-9
@@ -50,10 +49,11 @@ def find_lattice(features: FeatureSet) -> tuple[Cells, bool] | None:
 
 def write_heights(steps: IntArray, header: Header) -> list[bytes]:
     """The heights of each packet; `steps` holds one for each node, row by row."""
-    bits = grid_of(header).height_bits
+    grid, cells = header.grid_and_cells()
+    bits = grid.height_bits
     blocks: list[bytes] = []
     for start in range(0, header.total, LANES):
-        nodes, counts = cells_of(header).of_packets(range(start, min(start + LANES, header.total)), header.total)
+        nodes, counts = cells.of_packets(range(start, min(start + LANES, header.total)), header.total)
         values = np.unpackbits(steps[nodes].astype(">u4").view(np.uint8)).reshape(-1, 32)[:, 32 - bits :]
         blocks += [np.packbits(values[a:b]).tobytes() for a, b in pairwise(accumulate(counts, initial=0))]
     return blocks
@@ -68,9 +68,10 @@ def read_heights(blocks: Sequence[bytes], sequences: Sequence[int], header: Head
 
 
 def _read(blocks: Sequence[bytes], sequences: Sequence[int], header: Header) -> list[Steps | None]:
-    bits = grid_of(header).height_bits
-    nodes, counts = cells_of(header).of_packets(sequences, header.total)
-    rows, columns = np.divmod(nodes, cells_of(header).columns)
+    grid, cells = header.grid_and_cells()
+    bits = grid.height_bits
+    nodes, counts = cells.of_packets(sequences, header.total)
+    rows, columns = np.divmod(nodes, cells.columns)
     found: list[Steps | None] = []
     for block, (a, b) in zip(blocks, pairwise(accumulate(counts.tolist(), initial=0)), strict=True):
         count = b - a
@@ -82,18 +83,3 @@ def _read(blocks: Sequence[bytes], sequences: Sequence[int], header: Header) -> 
         padded[:, 32 - bits :] = found_bits.reshape(count, bits)
         found.append(Steps(columns[a:b], rows[a:b], np.packbits(padded).view(">u4").astype(np.int64)))
     return found
-
-
-def grid_of(header: Header) -> Grid:
-    """The grid of a header that has one."""
-    if header.grid is None:
-        raise PacketError("a lattice without a grid")
-    return header.grid
-
-
-def cells_of(header: Header) -> Cells:
-    """The cells of a header that has some."""
-    cells = grid_of(header).cells
-    if cells is None:
-        raise PacketError("a lattice without cells")
-    return cells

@@ -34,9 +34,10 @@ def load(points: FloatArray, header: Header) -> Load:
     if header.form in COMPACTS:
         messages = compact.write_steps(_steps(points, header), header, most=compact.LANES)
         return Load(max(map(len, messages.blocks)), messages.most / MAX_COMPACT_POINTS)
-    most = (
-        lattice.cells_of(header).most(header.total) if header.form is Form.LATTICE else -(-len(points) // header.total)
-    )
+    if header.form is Form.LATTICE:
+        most = header.grid_and_cells()[1].most(header.total)
+    else:
+        most = -(-len(points) // header.total)
     return Load(-(-most * point_bits(header) // 8), most / MAX_POINTS_PER_PACKET)
 
 
@@ -45,9 +46,9 @@ def write(points: FloatArray, header: Header) -> list[bytes]:
     if header.form in COMPACTS:
         return compact.write_steps(_steps(points, header), header).blocks
     if header.form is Form.LATTICE:
-        steps = _steps(points, header)
+        steps, (_, cells) = _steps(points, header), header.grid_and_cells()
         heights = np.empty(len(points), dtype=np.int64)
-        heights[steps.y * lattice.cells_of(header).columns + steps.x] = steps.z
+        heights[steps.y * cells.columns + steps.x] = steps.z
         return lattice.write_heights(heights, header)
     return write_points(*deal(points, header.total), header)
 
@@ -152,8 +153,8 @@ def _cut(points: FloatArray, sizes: Sequence[int]) -> list[FloatArray | None]:
 
 def _steps(points: FloatArray, header: Header) -> Steps:
     """The points in steps of the grid; on a lattice a step is a node."""
-    x_axis, y_axis = _axes(header)
-    z = quantise(points[:, 2], *lattice.grid_of(header).ranges(header.region)[2]).astype(np.int64)
+    x_axis, y_axis, z_limits = _axes(header)
+    z = quantise(points[:, 2], *z_limits).astype(np.int64)
     return Steps(x_axis.steps(points[:, 0]), y_axis.steps(points[:, 1]), z)
 
 
@@ -163,9 +164,8 @@ def _located(found: Sequence[Steps | None], header: Header) -> list[FloatArray |
     if not good:
         return [None] * len(found)
     x, y, z = (np.concatenate(values) for values in zip(*good, strict=True))
-    x_axis, y_axis = _axes(header)
-    heights = dequantise(z, *lattice.grid_of(header).ranges(header.region)[2])
-    points = np.stack([x_axis.coordinates(x), y_axis.coordinates(y), heights], axis=1)
+    x_axis, y_axis, z_limits = _axes(header)
+    points = np.stack([x_axis.coordinates(x), y_axis.coordinates(y), dequantise(z, *z_limits)], axis=1)
     parts = iter(_cut(points, [len(steps.z) for steps in good]))
     return [None if steps is None else next(parts) for steps in found]
 
@@ -190,13 +190,15 @@ class _Axis:
         return np.asarray(self.low + (steps + 0.5) * self.step, dtype=np.float64)
 
 
-def _axes(header: Header) -> tuple[_Axis, _Axis]:
-    grid, cells = lattice.grid_of(header), lattice.cells_of(header)
+def _axes(header: Header) -> tuple[_Axis, _Axis, tuple[float, float, int]]:
+    """The axes of x and y, and (low, high, bits) of z."""
+    grid, cells = header.grid_and_cells()
+    *ranges, z_limits = grid.ranges(header.region)
     if header.form in LATTICES:
         x, y = lattice.axes(header.region, cells.rows, cells.columns, centred=grid.centred)
-        return _Axis(0.0, 0.0, cells.columns, x), _Axis(0.0, 0.0, cells.rows, y)
+        return _Axis(0.0, 0.0, cells.columns, x), _Axis(0.0, 0.0, cells.rows, y), z_limits
     found = []
-    for (low, high, bits), count in zip(grid.ranges(header.region), (cells.columns, cells.rows), strict=False):
+    for (low, high, bits), count in zip(ranges, (cells.columns, cells.rows), strict=True):
         side = cells.side or (high - low) / count
         found.append(_Axis(low, side / 2**bits, count << bits))
-    return found[0], found[1]
+    return found[0], found[1], z_limits
