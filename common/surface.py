@@ -115,11 +115,19 @@ class Region:
         """Extent along y."""
         return self.y_max - self.y_min
 
-    def axes(self, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
-        """Ascending (x, y) of a grid of `shape` (rows, columns) that includes the edges of the region."""
+    def axes(self, shape: tuple[int, int], *, centred: bool = False) -> tuple[FloatArray, FloatArray]:
+        """Ascending (x, y) of a grid of `shape` (rows, columns).
+
+        Its nodes divide the region from edge to edge or, `centred`, are the middles of so many equal cells. Raises
+        ParameterError where there is no row or no column.
+        """
         rows, columns = shape
         if rows < 1 or columns < 1:
             raise ParameterError(f"grid shape must be at least 1 x 1, got {rows} x {columns}")
+        if centred:
+            x = self.x_min + (np.arange(columns) + 0.5) * (self.width / columns)
+            y = self.y_min + (np.arange(rows) + 0.5) * (self.height / rows)
+            return np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
         return np.linspace(self.x_min, self.x_max, columns), np.linspace(self.y_min, self.y_max, rows)
 
     def pieces(self, gap: float) -> tuple[int, int]:

@@ -228,9 +228,5 @@ def lattice(heights: Heights, gap: float, region: Region, units: Units = Units()
     It is what `extract_features` makes, for heights that are known already: whoever tries several gaps triangulates
     once. It does not know the points, and so does not say whether the gap suits them.
     """
-    rows, columns = region.pieces(gap)
-    x, y = np.meshgrid(
-        region.x_min + (np.arange(columns) + 0.5) * (region.width / columns),
-        region.y_min + (np.arange(rows) + 0.5) * (region.height / rows),
-    )
+    x, y = np.meshgrid(*region.axes(region.pieces(gap), centred=True))
     return FeatureSet(np.column_stack([x.ravel(), y.ravel(), heights(x, y).ravel()]), region, gap, "lattice", units)

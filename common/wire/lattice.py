@@ -11,7 +11,7 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 
-from common.surface import FeatureSet, FloatArray, IntArray, Region
+from common.surface import FeatureSet, IntArray
 from common.wire.cells import Cells
 from common.wire.compact import LANES, Steps
 from common.wire.header import Header
@@ -19,15 +19,6 @@ from common.wire.limits import MAX_CELLS_A_SIDE, MAX_POINTS_PER_PACKET
 
 TOLERANCE = 1e-9
 """Of the region's sides: how far from its node a point may lie to be taken for it."""
-
-
-def axes(region: Region, rows: int, columns: int, *, centred: bool) -> tuple[FloatArray, FloatArray]:
-    """Ascending x and y of the nodes."""
-    if not centred:
-        return np.linspace(region.x_min, region.x_max, columns), np.linspace(region.y_min, region.y_max, rows)
-    x = np.asarray(region.x_min + (np.arange(columns) + 0.5) * (region.width / columns), dtype=np.float64)
-    y = np.asarray(region.y_min + (np.arange(rows) + 0.5) * (region.height / rows), dtype=np.float64)
-    return x, y
 
 
 def find_lattice(features: FeatureSet) -> tuple[Cells, bool] | None:
@@ -39,7 +30,7 @@ def find_lattice(features: FeatureSet) -> tuple[Cells, bool] | None:
         return None
     order = np.lexsort((features.points[:, 0], np.rint(scaled[:, 1] / TOLERANCE)))
     for centred in (False, True):
-        x, y = np.meshgrid(*axes(region, rows, columns, centred=centred))
+        x, y = np.meshgrid(*region.axes((rows, columns), centred=centred))
         nodes = np.column_stack([x.ravel(), y.ravel()])
         error = np.abs(features.xy[order] - nodes)
         if np.all(error <= TOLERANCE * np.array([region.width, region.height])):

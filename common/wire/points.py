@@ -195,7 +195,7 @@ def _axes(header: Header) -> tuple[_Axis, _Axis, tuple[float, float, int]]:
     grid, cells = header.grid_and_cells()
     *ranges, z_limits = grid.ranges(header.region)
     if header.form in LATTICES:
-        x, y = lattice.axes(header.region, cells.rows, cells.columns, centred=grid.centred)
+        x, y = header.region.axes((cells.rows, cells.columns), centred=grid.centred)
         return _Axis(0.0, 0.0, cells.columns, x), _Axis(0.0, 0.0, cells.rows, y), z_limits
     found = []
     for (low, high, bits), count in zip(ranges, (cells.columns, cells.rows), strict=True):
