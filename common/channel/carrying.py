@@ -10,7 +10,7 @@ from common.channel.channel import Channel, Delivery
 from common.channel.passage import Reference
 from common.errors import ParameterError, WireError
 from common.wire import split
-from common.wire.framing import CODED_EXTENSION, EXTENSION, MIN_PAYLOAD
+from common.wire.framing import START, length_after
 
 ATTEMPT_HEADER = "Surfacelink-Attempt"
 """Request header: 0 for the first sending of a transmission, 1, 2, ... for the next (absent: 0)."""
@@ -21,11 +21,6 @@ MAX_ATTEMPT = 2**31 - 1
 
 MAX_REFERENCES = 256
 """Transmissions remembered; their attempts follow each other closely, and few are under way at once."""
-
-PACKET_START = re.compile(
-    b"(?:\xc7(?P<short>[%c-\xff])|\xc8(?P<long>..))[%c%c]" % (MIN_PAYLOAD, EXTENSION, CODED_EXTENSION), re.DOTALL
-)
-"""How a packet starts: a msgpack extension of one of our types, its length in one byte or in two."""
 
 _TRANSMISSION = re.compile(r"/v1/transmissions/(?P<transmission>[^/]+)/?")
 
@@ -63,9 +58,8 @@ def datagrams_of(body: bytes) -> list[bytes]:
 
 def _cut(body: bytes) -> list[bytes]:
     cuts, position = [0], 0
-    while (start := PACKET_START.search(body, position)) is not None:
-        length = int.from_bytes(start["short"] or start["long"], "big")
-        position = min(start.end() + length, len(body))
+    while (start := START.search(body, position)) is not None:
+        position = min(start.end() + length_after(start), len(body))
         cuts += [start.start(), position]
     return [body[a:b] for a, b in pairwise([*cuts, len(body)]) if a < b]
 

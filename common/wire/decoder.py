@@ -6,7 +6,6 @@ but errors of the WireError family. How the bytes are cut into feeds makes no di
 
 from __future__ import annotations
 
-import re
 import zlib
 from collections.abc import Sequence
 from contextlib import suppress
@@ -14,21 +13,13 @@ from contextlib import suppress
 from common.errors import LimitError, PacketError, WireError
 from common.wire import inner
 from common.wire.compact import Effort
-from common.wire.framing import CODED_EXTENSION, EXTENSION, MIN_PAYLOAD, split
+from common.wire.framing import CODED_EXTENSION, LONGEST_START, MIN_PAYLOAD, START, length_after, split
 from common.wire.gaps import Gaps
 from common.wire.header import Header
 from common.wire.limits import FALSE_START_GRACE, MAX_BODY, MAX_COPIES, MAX_FALSE_STARTS
 from common.wire.numbers import Reader
 from common.wire.packet import CRC_BYTES, Packet
 from common.wire.points import Written, check_block, decode_packets
-
-_EXT8 = 0xC7
-_START = re.compile(
-    b"(?:\xc7[%c-\xff]|\xc8..)[%c%c]" % (MIN_PAYLOAD, EXTENSION, CODED_EXTENSION),
-    re.DOTALL,
-)
-_LONGEST_START = 4
-
 
 AT_ONCE = 4096
 """Packets decoded at once: bounds what is held besides their points."""
@@ -101,7 +92,7 @@ class PacketDecoder:
 
     def _accept(self, datagram: bytes, found: list[Written]) -> bool:
         """Take a corrected datagram if it passes its checksum."""
-        match = _START.match(datagram)
+        match = START.match(datagram)
         payload = inner.payload_of(memoryview(datagram)) if match and _is_coded(datagram, match.end()) else None
         if payload is None or not _passes(payload):
             return False
@@ -119,10 +110,10 @@ class PacketDecoder:
     def _scan(self, view: memoryview) -> list[Written]:
         found: list[Written] = []
         end = len(view)
-        while match := _START.search(view, self._position):
+        while match := START.search(view, self._position):
             first, start = match.span()
             self._skip_to(first, view)
-            length = view[first + 1] if view[first] == _EXT8 else int.from_bytes(view[first + 1 : first + 3], "big")
+            length = length_after(match)
             stop = start + length
             if stop > end and not self._closed:
                 return found
@@ -137,7 +128,7 @@ class PacketDecoder:
             self._longest = max(self._longest, stop - first)
             self._take(payload, found)
         # The start of a packet may be cut in two by the end of what was fed.
-        self._skip_to(max(self._position, end if self._closed else end - _LONGEST_START + 1), view)
+        self._skip_to(max(self._position, end if self._closed else end - LONGEST_START + 1), view)
         return found
 
     def _skip_to(self, position: int, view: memoryview) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 
 import msgpack
@@ -26,6 +27,13 @@ MIN_PAYLOAD = 17
 
 MAX_PAYLOAD = 0xFFFF
 
+START = re.compile(
+    b"(?:\xc7(?P<short>[%c-\xff])|\xc8(?P<long>..))[%c%c]" % (MIN_PAYLOAD, EXTENSION, CODED_EXTENSION), re.DOTALL
+)
+"""How a packet starts: an extension of one of our types, its length in one byte or in two."""
+
+LONGEST_START = 4
+
 
 def frame(payloads: Iterable[bytes], extension: int = EXTENSION) -> list[bytes]:
     """The datagrams that carry `payloads`; raises PacketError where one is too short or too long."""
@@ -40,6 +48,11 @@ def frame(payloads: Iterable[bytes], extension: int = EXTENSION) -> list[bytes]:
 def framing_bytes(datagram: int) -> int:
     """Bytes that `frame` adds to a datagram of `datagram` bytes in all."""
     return 3 if datagram <= 0xFF + 3 else 4
+
+
+def length_after(start: re.Match[bytes]) -> int:
+    """The length that a match of `START` claims for what follows it."""
+    return int.from_bytes(start["short"] or start["long"], "big")
 
 
 def split(body: bytes) -> list[bytes]:
