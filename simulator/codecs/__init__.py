@@ -10,6 +10,7 @@ All of them presuppose a raster. Decoders of damaged bytes belong into a `Sandbo
 from __future__ import annotations
 
 import importlib.util
+from bisect import bisect_left
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -21,7 +22,7 @@ from common.errors import MissingExtraError, NotFoundError, ParameterError, Poin
 from common.metrics import nrmse
 from common.surface import BoolArray, FloatArray
 from simulator.codecs import raster, samples
-from simulator.codecs.message import MAX_NODES
+from simulator.codecs.message import MAX_NODES, Ladders, Setting
 from simulator.codecs.protection import PROTECTIONS, Protection
 from simulator.codecs.sandbox import Failure, Sandbox
 
@@ -61,8 +62,8 @@ class Codec:
     name: str
     title: str
     source: str
-    ladders: Callable[[tuple[int, int]], samples.Ladders]
-    encode: Callable[[FloatArray, tuple[float, ...]], bytes]
+    ladders: Callable[[tuple[int, int]], Ladders]
+    encode: Callable[[FloatArray, Setting], bytes]
     decode: Callable[[bytes, BoolArray], FloatArray]
     package: str = ""
 
@@ -79,7 +80,7 @@ class Message:
     Attributes
     ----------
     codec : str
-    setting : tuple of float
+    setting : Setting
     data : bytes
         Self-contained.
     nrmse : float
@@ -87,7 +88,7 @@ class Message:
     """
 
     codec: str
-    setting: tuple[float, ...]
+    setting: Setting
     data: bytes
     nrmse: float
 
@@ -237,11 +238,11 @@ class _Trials:
         self.ladders = codec.ladders((z.shape[0], z.shape[1]))
 
         @cache
-        def data(setting: tuple[float, ...]) -> bytes:
+        def data(setting: Setting) -> bytes:
             return codec.encode(z, setting)
 
         @cache
-        def message(setting: tuple[float, ...]) -> Message:
+        def message(setting: Setting) -> Message:
             return Message(codec.name, setting, data(setting), nrmse(z, decode(codec.name, data(setting))))
 
         self.data, self.message = data, message
@@ -264,7 +265,7 @@ def best(codec: str, z: FloatArray, budget: int) -> Message:
     found: list[Message] = []
     least = len(trials.data(trials.ladders[0][0]))
     for ladder in trials.ladders:
-        fits = _first(ladder, lambda setting: len(trials.data(setting)) > budget)
+        fits = bisect_left(ladder, True, key=lambda setting: len(trials.data(setting)) > budget)
         if fits > 0:
             found.append(trials.message(ladder[fits - 1]))
     if not found:
@@ -278,21 +279,9 @@ def smallest(codec: str, z: FloatArray, target: float) -> Message:
     trials = _Trials(find_codec(codec), heights)
     found: list[Message] = []
     for ladder in trials.ladders:
-        index = _first(ladder, lambda setting: trials.message(setting).nrmse <= target)
+        index = bisect_left(ladder, True, key=lambda setting: trials.message(setting).nrmse <= target)
         if index < len(ladder):
             found.append(trials.message(ladder[index]))
     if not found:
         raise ParameterError(f"codec {codec} does not reach an NRMSE of {target:g} on this grid")
     return min(found, key=lambda message: (len(message.data), message.nrmse))
-
-
-def _first(ladder: tuple[tuple[float, ...], ...], is_beyond: Callable[[tuple[float, ...]], bool]) -> int:
-    """Index of the first setting from which on `is_beyond` holds, or the number of settings; by bisection."""
-    low, high = 0, len(ladder)
-    while low < high:
-        middle = (low + high) // 2
-        if is_beyond(ladder[middle]):
-            high = middle
-        else:
-            low = middle + 1
-    return low

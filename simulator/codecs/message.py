@@ -7,12 +7,19 @@ from __future__ import annotations
 
 import struct
 import zlib
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from common.errors import PacketError
 from common.surface import FloatArray
+
+Setting: TypeAlias = tuple[float, ...]
+"""What a codec is told of how finely to write: its own numbers."""
+
+Ladders: TypeAlias = tuple[tuple[Setting, ...], ...]
+"""Settings from coarse to fine, in one or several families."""
 
 HEADER = struct.Struct("<HHff")
 """Rows, columns, least height, range of the heights."""
@@ -26,14 +33,26 @@ def write_header(z: FloatArray) -> bytes:
     return HEADER.pack(*z.shape, float(z.min()), float(np.ptp(z)))
 
 
-def read_header(data: bytes) -> tuple[tuple[int, int], float, float, bytes]:
-    """((rows, columns), least height, range, what follows); raises PacketError where it makes no sense."""
+class Header(NamedTuple):
+    """What a message says before its heights."""
+
+    shape: tuple[int, int]
+    low: float
+    extent: float
+
+    def heights(self, values: npt.ArrayLike) -> FloatArray:
+        """Heights in the unit of the grid, of `values` in 0..1."""
+        return np.asarray(values, dtype=np.float64) * self.extent + self.low
+
+
+def read_header(data: bytes) -> tuple[Header, bytes]:
+    """The header, and what follows it; raises PacketError where it makes no sense."""
     if len(data) < HEADER.size:
         raise PacketError(f"a message has at least {HEADER.size} bytes, got {len(data)}")
     rows, columns, low, extent = HEADER.unpack_from(data)
     if not (0 < rows * columns <= MAX_NODES and np.isfinite(low) and np.isfinite(extent)):
         raise PacketError(f"a grid of {rows} x {columns} from {low:g} to {low + extent:g} cannot be")
-    return (rows, columns), low, extent, data[HEADER.size :]
+    return Header((rows, columns), low, extent), data[HEADER.size :]
 
 
 def scaled(z: FloatArray) -> FloatArray:

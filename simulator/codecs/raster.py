@@ -14,10 +14,7 @@ from scipy.fft import dctn, idctn
 
 from common.errors import PacketError
 from common.surface import BoolArray, FloatArray
-from simulator.codecs.message import deflate, inflate, read_header, scaled, write_header
-from simulator.codecs.samples import Ladders
-
-Setting = tuple[float, ...]
+from simulator.codecs.message import Ladders, Setting, deflate, inflate, read_header, scaled, write_header
 
 FINE = 1.02
 """Ratio between the settings of a ladder."""
@@ -61,10 +58,6 @@ def _float32(z: FloatArray) -> npt.NDArray[np.float32]:
     return np.ascontiguousarray(scaled(z), dtype=np.float32)
 
 
-def _heights(values: npt.ArrayLike, low: float, extent: float) -> FloatArray:
-    return np.asarray(values, dtype=np.float64) * extent + low
-
-
 def encode_jpeg2000(z: FloatArray, setting: Setting) -> bytes:
     """The irreversible 9/7 wavelet on 16-bit heights, as a bare code stream."""
     import imagecodecs
@@ -80,8 +73,8 @@ def decode_jpeg2000(data: bytes, lost: BoolArray) -> FloatArray:  # noqa: ARG001
     """OpenJPEG."""
     import imagecodecs
 
-    _, low, extent, stream = read_header(data)
-    return _heights(imagecodecs.jpeg2k_decode(stream) / 65535, low, extent)
+    header, stream = read_header(data)
+    return header.heights(imagecodecs.jpeg2k_decode(stream) / 65535)
 
 
 def encode_sperr(z: FloatArray, setting: Setting) -> bytes:
@@ -96,8 +89,8 @@ def decode_sperr(data: bytes, lost: BoolArray) -> FloatArray:  # noqa: ARG001
     """SPERR; it may crash on damaged bytes."""
     import imagecodecs
 
-    shape, low, extent, stream = read_header(data)
-    return _heights(imagecodecs.sperr_decode(stream, shape=shape, dtype=np.float32, header=False), low, extent)
+    header, stream = read_header(data)
+    return header.heights(imagecodecs.sperr_decode(stream, shape=header.shape, dtype=np.float32, header=False))
 
 
 def encode_zfp(z: FloatArray, setting: Setting) -> bytes:
@@ -112,8 +105,8 @@ def decode_zfp(data: bytes, lost: BoolArray) -> FloatArray:  # noqa: ARG001
     """ZFP; it may crash on damaged bytes."""
     import imagecodecs
 
-    _, low, extent, stream = read_header(data)
-    return _heights(imagecodecs.zfp_decode(stream), low, extent)
+    header, stream = read_header(data)
+    return header.heights(imagecodecs.zfp_decode(stream))
 
 
 def encode_sz3(z: FloatArray, setting: Setting) -> bytes:
@@ -127,8 +120,8 @@ def decode_sz3(data: bytes, lost: BoolArray) -> FloatArray:  # noqa: ARG001
     """SZ3; it may crash on damaged bytes."""
     import imagecodecs
 
-    shape, low, extent, stream = read_header(data)
-    return _heights(imagecodecs.sz3_decode(stream, shape, np.float32), low, extent)
+    header, stream = read_header(data)
+    return header.heights(imagecodecs.sz3_decode(stream, header.shape, np.float32))
 
 
 def encode_lerc(z: FloatArray, setting: Setting) -> bytes:
@@ -142,8 +135,8 @@ def decode_lerc(data: bytes, lost: BoolArray) -> FloatArray:  # noqa: ARG001
     """LERC; it carries a checksum of its own."""
     import imagecodecs
 
-    _, low, extent, stream = read_header(data)
-    return _heights(imagecodecs.lerc_decode(imagecodecs.zstd_decode(stream)), low, extent)
+    header, stream = read_header(data)
+    return header.heights(imagecodecs.lerc_decode(imagecodecs.zstd_decode(stream)))
 
 
 def _frequencies(shape: tuple[int, int]) -> npt.NDArray[np.int64]:
@@ -171,7 +164,8 @@ def encode_dct(z: FloatArray, setting: Setting) -> bytes:
 
 def decode_dct(data: bytes, lost: BoolArray) -> FloatArray:  # noqa: ARG001
     """The inverse, of what can be inflated."""
-    shape, low, extent, rest = read_header(data)
+    header, rest = read_header(data)
+    shape = header.shape
     if len(rest) < DCT_FIELDS:
         raise PacketError(f"the transform's step and count take {DCT_FIELDS} bytes, {len(rest)} are left")
     step, count = float(np.frombuffer(rest[:4], "<f4")[0]), int(np.frombuffer(rest[4:8], "<u4")[0])
@@ -183,4 +177,4 @@ def decode_dct(data: bytes, lost: BoolArray) -> FloatArray:  # noqa: ARG001
     folded[wide] = np.frombuffer(body[count : count + 4 * len(wide)], dtype="<u4")
     levels = np.zeros(size)
     levels[_frequencies(shape)[:count]] = np.where(folded % 2, -(folded + 1) // 2, folded // 2)
-    return _heights(idctn(levels.reshape(shape) * step, norm="ortho"), low, extent)
+    return header.heights(idctn(levels.reshape(shape) * step, norm="ortho"))

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import struct
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,9 @@ from common.errors import PacketError
 from common.surface import BoolArray, FloatArray
 from simulator.codecs.message import (
     HEADER,
+    Header,
+    Ladders,
+    Setting,
     deflate,
     inflate,
     pack_bits,
@@ -27,8 +30,6 @@ from simulator.codecs.message import (
     unpack_bits,
     write_header,
 )
-
-Ladders = tuple[tuple[tuple[float, ...], ...], ...]
 
 LATTICE = struct.Struct("<BB")
 """Samples along the longer side, bits a sample."""
@@ -62,7 +63,7 @@ def cloud_ladders(shape: tuple[int, int]) -> Ladders:
     return (tuple((float(n),) for n in steps),)
 
 
-def encode_cloud(z: FloatArray, setting: tuple[float, ...]) -> bytes:
+def encode_cloud(z: FloatArray, setting: Setting) -> bytes:
     """Nodes in an order that scatters them, as (column, row, height)."""
     chosen = scattered(z.size)[: int(setting[0])]
     rows, columns = np.divmod(chosen, z.shape[1])
@@ -72,7 +73,8 @@ def encode_cloud(z: FloatArray, setting: tuple[float, ...]) -> bytes:
 
 def decode_cloud(data: bytes, lost: BoolArray) -> FloatArray:
     """Points that are in no place they could be are dropped."""
-    shape, low, extent, body = read_header(data)
+    header, body = read_header(data)
+    shape = header.shape
     size = len(body) // 12
     with np.errstate(invalid="ignore"):  # damage can make a signalling NaN
         records = np.frombuffer(body[: 12 * size], dtype="<f4").reshape(size, 3).astype(np.float64)
@@ -83,7 +85,7 @@ def decode_cloud(data: bytes, lost: BoolArray) -> FloatArray:
     if not len(points):
         raise PacketError("no point is left")
     _, first = np.unique(points[:, :2], axis=0, return_index=True)
-    return interpolated(points[first], shape) * extent + low
+    return header.heights(interpolated(points[first], shape))
 
 
 def scattered(n: int) -> npt.NDArray[np.int64]:
@@ -119,25 +121,40 @@ def _nodes(shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
     return np.arange(shape[0], dtype=np.float64), np.arange(shape[1], dtype=np.float64)
 
 
-def _samples(z: FloatArray, setting: tuple[float, ...]) -> tuple[npt.NDArray[np.int64], bytes]:
+def _samples(z: FloatArray, setting: Setting) -> tuple[npt.NDArray[np.int64], bytes]:
     count, bits = (int(v) for v in setting)
     at = _at(z.shape, _sides(z.shape, count))
     heights = np.clip(_resampled(scaled(z), _nodes(z.shape), at), 0, 1)
     return np.rint(heights * (2**bits - 1)).astype(np.int64), write_header(z) + LATTICE.pack(count, bits)
 
 
-def _read_lattice(data: bytes) -> tuple[tuple[int, int], float, float, tuple[int, int], int, bytes]:
-    shape, low, extent, rest = read_header(data)
+class Lattice(NamedTuple):
+    """A header, and the lattice of samples that follows it."""
+
+    header: Header
+    sides: tuple[int, int]
+    """Rows and columns of samples."""
+    bits: int
+    """Of a sample."""
+
+    def heights(self, samples: FloatArray) -> FloatArray:
+        """The grid on a spline through samples, shape `sides`, in 0..1."""
+        shape = self.header.shape
+        return self.header.heights(_resampled(samples, _at(shape, self.sides), _nodes(shape)))
+
+
+def _read_lattice(data: bytes) -> tuple[Lattice, bytes]:
+    header, rest = read_header(data)
     if len(rest) < LATTICE.size:
         raise PacketError("the message ends within its header")
     count, bits = LATTICE.unpack_from(rest)
-    sides = _sides(shape, count)
+    sides = _sides(header.shape, count)
     if not (1 <= bits <= 16 and min(sides) >= 2):
         raise PacketError(f"a lattice of {sides} samples of {bits} bits cannot be")
-    return shape, low, extent, sides, bits, rest[LATTICE.size :]
+    return Lattice(header, sides, bits), rest[LATTICE.size :]
 
 
-def encode_lattice(z: FloatArray, setting: tuple[float, ...]) -> bytes:
+def encode_lattice(z: FloatArray, setting: Setting) -> bytes:
     """Differences to the plane through three neighbours, modulo 2**bits, deflated."""
     samples, header = _samples(z, setting)
     rest = np.diff(np.diff(samples, axis=0, prepend=0), axis=1, prepend=0) % (1 << int(setting[1]))
@@ -146,12 +163,11 @@ def encode_lattice(z: FloatArray, setting: tuple[float, ...]) -> bytes:
 
 def decode_lattice(data: bytes, lost: BoolArray) -> FloatArray:  # noqa: ARG001 - a stream cannot use it
     """Sums of the differences, and the spline through them."""
-    shape, low, extent, sides, bits, rest = _read_lattice(data)
-    count = sides[0] * sides[1]
-    differences = _unplaned(inflate(rest, 2 * count), count).reshape(sides)
-    samples = np.cumsum(np.cumsum(differences, axis=0), axis=1) % (1 << bits)
-    heights = _resampled(samples / (2**bits - 1), _at(shape, sides), _nodes(shape))
-    return heights * extent + low
+    lattice, rest = _read_lattice(data)
+    count = lattice.sides[0] * lattice.sides[1]
+    differences = _unplaned(inflate(rest, 2 * count), count).reshape(lattice.sides)
+    samples = np.cumsum(np.cumsum(differences, axis=0), axis=1) % (1 << lattice.bits)
+    return lattice.heights(samples / (2**lattice.bits - 1))
 
 
 def _planes(values: npt.NDArray[np.int64]) -> bytes:
@@ -169,7 +185,7 @@ def _unplaned(data: bytes, count: int) -> npt.NDArray[np.int64]:
 # that sets aside what does not fit its neighbours.
 
 
-def encode_scattered(z: FloatArray, setting: tuple[float, ...]) -> bytes:
+def encode_scattered(z: FloatArray, setting: Setting) -> bytes:
     """Header, half of the samples, header, the other half, header.
 
     The last byte of the header is the filter's threshold in 255ths of the range.
@@ -192,10 +208,10 @@ def decode_scattered(data: bytes, lost: BoolArray) -> FloatArray:
     starts = (0, size + half, len(data) - size)
     copies = np.array([np.frombuffer(data[i : i + size], dtype=np.uint8) for i in starts])
     header = _majority(copies, np.array([lost[i : i + size] for i in starts]))
-    shape, low, extent, sides, bits, rest = _read_lattice(header.tobytes())
+    lattice, rest = _read_lattice(header.tobytes())
     body = data[size : size + half] + data[2 * size + half : -size]
     body_lost = np.concatenate([lost[size : size + half], lost[2 * size + half : -size]])
-    count = sides[0] * sides[1]
+    bits, count = lattice.bits, lattice.sides[0] * lattice.sides[1]
     if len(body) != -(-count * bits // 8):
         raise PacketError(f"{count} samples of {bits} bits are not {len(body)} bytes")
     order = scattered(count)
@@ -203,10 +219,10 @@ def decode_scattered(data: bytes, lost: BoolArray) -> FloatArray:
     heights[order] = unpack_bits(body, bits, count) / (2**bits - 1)
     missing = np.empty(count, dtype=np.bool_)
     missing[order] = np.repeat(body_lost, 8)[: count * bits].reshape(count, bits).any(axis=1)
-    known = np.where(missing, np.nan, heights).reshape(sides)
+    known = np.where(missing, np.nan, heights).reshape(lattice.sides)
     for _ in range(2):  # a second look, free of the worst
         known = np.where(np.abs(known - _expected(known)) > rest[0] / 255, np.nan, known)
-    return _resampled(_filled(known), _at(shape, sides), _nodes(shape)) * extent + low
+    return lattice.heights(_filled(known))
 
 
 def _majority(copies: npt.NDArray[np.uint8], lost: BoolArray) -> npt.NDArray[np.uint8]:
@@ -269,7 +285,7 @@ def mesh_ladders(shape: tuple[int, int]) -> Ladders:  # noqa: ARG001 - the same 
     )
 
 
-def encode_mesh(z: FloatArray, setting: tuple[float, ...]) -> bytes:
+def encode_mesh(z: FloatArray, setting: Setting) -> bytes:
     """Nodes of the mesh in raster order: gaps and differences of height, deflated."""
     from pydelatin import Delatin
 
@@ -286,7 +302,8 @@ def encode_mesh(z: FloatArray, setting: tuple[float, ...]) -> bytes:
 
 def decode_mesh(data: bytes, lost: BoolArray) -> FloatArray:  # noqa: ARG001 - a stream cannot use it
     """Linear on the Delaunay triangles of the nodes."""
-    shape, low, extent, rest = read_header(data)
+    header, rest = read_header(data)
+    shape = header.shape
     if len(rest) < 3:
         raise PacketError("the message ends within its header")
     count, bits = struct.unpack_from("<HB", rest)
@@ -302,7 +319,7 @@ def decode_mesh(data: bytes, lost: BoolArray) -> FloatArray:  # noqa: ARG001 - a
     if not len(rows):
         raise PacketError("no node is left")
     points = np.column_stack([columns, rows, samples[inside] / (2**bits - 1)]).astype(np.float64)
-    return interpolated(points, shape) * extent + low
+    return header.heights(interpolated(points, shape))
 
 
 def _gap_bytes(gaps: npt.NDArray[np.int64]) -> bytes:

@@ -77,10 +77,17 @@ def test_a_feature_set_does_not_follow_the_array_it_was_made_from() -> None:
         features.points[0, 0] = 1.0
 
 
+def test_the_nodes_of_a_region_lie_on_its_edges_or_in_the_middle_of_its_cells() -> None:
+    region = Region(0.0, 3.0, 0.0, 1.0)
+    for centred, x, y in (
+        (False, [0.0, 1.0, 2.0, 3.0], [0.0, 1.0]),
+        (True, [0.375, 1.125, 1.875, 2.625], [0.25, 0.75]),
+    ):
+        for found, expected in zip(region.axes((2, 4), centred=centred), (x, y), strict=True):
+            np.testing.assert_array_equal(found, expected)
+
+
 def test_grid_rows_run_along_y() -> None:
-    x, y = Region(0.0, 3.0, 0.0, 1.0).axes((2, 4), centred=True)
-    np.testing.assert_array_equal(x, [0.375, 1.125, 1.875, 2.625])
-    np.testing.assert_array_equal(y, [0.25, 0.75])
     x, y = Region(0.0, 3.0, 0.0, 1.0).axes((2, 4))
     grid = HeightGrid(x, y, 10 * y[:, None] + x[None, :])
     assert grid.shape == (2, 4)
