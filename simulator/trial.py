@@ -27,7 +27,7 @@ from sender.readers import read_points
 from sender.surfaces import GriddedSurface, find_surface
 from simulator.campaign import CodecSettings, FeatureSettings, SurfaceChoice, Trial
 from simulator.choice import choose_features
-from simulator.codecs import Message, Sandbox, best
+from simulator.codecs import Message, best
 from simulator.codecs.protection import find_protection
 from simulator.codecs.survival import expose
 from simulator.fields import field
@@ -236,16 +236,14 @@ def _codec_row(trial: Trial, settings: CodecSettings, truth: HeightGrid, channel
     """A raster codec on the same link, at the same bytes; damaged streams are decoded in a child process."""
     code = find_protection(settings.protection)
     message = _message(trial.surface, trial.grid, settings.codec, code.payload(settings.budget))
-    with Sandbox() as box:
-        survival = expose(
-            truth.z,
-            message,
-            channel,
-            [_number(trial.seed, trial.digest, trial.sample)],
-            protection=settings.protection,
-            datagram=settings.datagram,
-            sandbox=box,
-        )
+    survival = expose(
+        truth.z,
+        message,
+        channel,
+        [_number(trial.seed, trial.digest, trial.sample)],
+        protection=settings.protection,
+        datagram=settings.datagram,
+    )
     (error,) = survival.errors
     row: dict[str, Cell] = {
         "sends": settings.label,

@@ -1,7 +1,7 @@
 """What a user would send instead of feature points: codecs of raster heights, bare or under a Reed-Solomon code.
 
 ``best(codec, z, budget)`` is the finest message of at most so many bytes, ``smallest(codec, z, nrmse)`` the shortest
-one that is close enough; ``survive`` sends messages through a channel and counts what comes out. Bytes are
+one that is close enough; `simulator.codecs.survival` sends them through a channel and counts what comes out. Bytes are
 self-contained: shape, scale and parameters are in the message.
 
 All of them presuppose a raster. Decoders of damaged bytes belong into a `Sandbox`: several of them crash.

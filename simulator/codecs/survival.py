@@ -18,7 +18,7 @@ from common.channel import Channel, PointImpairment
 from common.errors import ChannelError
 from common.metrics import nrmse
 from common.surface import BoolArray, FloatArray
-from simulator.codecs import Failure, Message, Sandbox, best, decode
+from simulator.codecs import Failure, Message, Sandbox, decode
 from simulator.codecs.protection import Protection, find_protection
 
 DATAGRAM = 256
@@ -67,10 +67,6 @@ class Survival:
     def median(self) -> float | None:
         """Median NRMSE of the seeds that gave a surface; None where none did."""
         return float(np.median(self.decoded)) if self.decoded else None
-
-    def within(self, limit: float) -> float:
-        """Share of all seeds with an NRMSE of at most `limit`."""
-        return sum(error <= limit for error in self.decoded) / len(self.errors)
 
 
 def received(data: bytes, channel: Channel, *, transmission: str, datagram: int = DATAGRAM) -> tuple[bytes, BoolArray]:
@@ -127,7 +123,7 @@ def expose(
     calls = [_arrival(stream, code, Channel(link.impairments, seed), message, datagram) for seed in seeds]
     errors: list[float | None] = []
     failures: Counter[str] = Counter()
-    with sandbox or Sandbox() if sandbox is None else nullcontext(sandbox) as box:
+    with Sandbox() if sandbox is None else nullcontext(sandbox) as box:
         for heights in box.map(decode, calls):
             if isinstance(heights, Failure):
                 failures[heights.kind] += 1
@@ -137,8 +133,7 @@ def expose(
                 errors.append(None)
             else:
                 errors.append(nrmse(field, heights))
-    name = ";".join(part for part in str(Channel(link.impairments)).split(";") if not part.startswith("seed="))
-    return Survival(message, protection, name, len(stream), tuple(errors), dict(sorted(failures.items())))
+    return Survival(message, protection, str(link), len(stream), tuple(errors), dict(sorted(failures.items())))
 
 
 def _arrival(
@@ -146,31 +141,13 @@ def _arrival(
 ) -> tuple[str, bytes, BoolArray]:
     """Arguments of `decode` for one seed."""
     data, lost = received(stream, channel, transmission=message.codec, datagram=datagram)
-    body, gone = code.decoded(stream, data, lost)
+    body, gone = code.decode(data, lost, stream)
     return message.codec, body, gone
 
 
 def _for_streams(channel: Channel) -> Channel:
+    """The channel, unseeded, as a numbered stream of datagrams meets it; raises ChannelError where it moves points."""
     for impairment in channel.impairments:
         if isinstance(impairment, PointImpairment):
             raise ChannelError(f"{impairment.kind} moves points; a raster codec sends none")
     return Channel([part for part in channel.impairments if part.kind not in TRANSPORT])
-
-
-def survive(
-    field: FloatArray,
-    codec: str,
-    bytes_target: int,
-    channel: Channel,
-    seeds: Sequence[int],
-    *,
-    protection: str = "none",
-    datagram: int = DATAGRAM,
-    sandbox: Sandbox | None = None,
-) -> Survival:
-    """The best message of a codec that fits, protected, into `bytes_target` bytes, sent through a channel.
-
-    See `best` and `expose` for what is given and raised. To try one message on several channels, call these two.
-    """
-    message = best(codec, field, find_protection(protection).payload(bytes_target))
-    return expose(field, message, channel, seeds, protection=protection, datagram=datagram, sandbox=sandbox)

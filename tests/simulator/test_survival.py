@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from common.channel import Channel
 from common.errors import ChannelError, NotFoundError
 from sender.surfaces import find_surface
-from simulator.codecs import Message, Sandbox, smallest
+from simulator.codecs import Message, Sandbox, best, smallest
 from simulator.codecs.protection import PROTECTIONS, Protection, find_protection
-from simulator.codecs.survival import expose, received, survive
+from simulator.codecs.survival import Survival, expose, received
 from tests.simulator.decoders import misbehave
 
 pytest.importorskip("reedsolo", reason="needs reedsolo, of the extra 'codecs'")
@@ -67,7 +67,7 @@ def test_counting_errors_is_the_same_as_decoding(
     data, lost = np.frombuffer(sent, np.uint8).copy(), nothing_lost(sent)
     data[hit[:wrong]] ^= rng.integers(1, 256, wrong).astype(np.uint8)
     data[hit[wrong : wrong + gone]], lost[hit[wrong : wrong + gone]] = 0, True
-    real, counted = code.decode(data.tobytes(), lost), code.decoded(sent, data.tobytes(), lost)
+    real, counted = code.decode(data.tobytes(), lost), code.decode(data.tobytes(), lost, sent)
     assert real[0] == counted[0]
     np.testing.assert_array_equal(real[1], counted[1])
 
@@ -110,15 +110,19 @@ def test_survival_is_repeatable_and_protection_protects(name: str) -> None:
     heights = z()
     link = Channel.parse("bit_errors:ber=0.003")
     with Sandbox() as box:
-        bare = survive(heights, name, 900, link, range(8), sandbox=box)
-        assert bare == survive(heights, name, 900, link, range(8), sandbox=box)
-        strong = survive(heights, name, 900, link, range(8), protection="rs127", sandbox=box)
+
+        def survive(protection: str) -> Survival:
+            message = best(name, heights, find_protection(protection).payload(900))
+            return expose(heights, message, link, range(8), protection=protection, sandbox=box)
+
+        bare, strong = survive("none"), survive("rs127")
+        assert bare == survive("none")
     assert bare.sent <= 900
     assert strong.sent <= 900
     assert len(bare.errors) == 8
     assert strong.failed == 0
     assert strong.errors == (strong.message.nrmse,) * 8
-    assert bare.within(1.01 * bare.message.nrmse) < 0.5
+    assert sum(error <= 1.01 * bare.message.nrmse for error in bare.decoded) < 4
     assert bare.channel == "bit_errors:ber=0.003"
 
 
@@ -157,7 +161,6 @@ def test_decoders_that_crash_or_hang_are_counted(monkeypatch: pytest.MonkeyPatch
     assert survival.errors == (None,) * 4
     assert survival.failed == 1
     assert survival.median is None
-    assert survival.within(1.0) == 0
 
 
 def test_a_grid_of_another_shape_is_a_failure() -> None:
