@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from common.channel.carrying import ATTEMPT_HEADER
 from common.errors import LinkError, NotFoundError, ParameterError, RefusedError, SurfacelinkError, TrainingError
 from common.messages import Receipt
+from common.network.model import NetworkSettings
 from common.surface import FloatArray, HeightGrid, Region, Units
 from common.wire import MEDIA_TYPE
 
@@ -137,7 +138,7 @@ class ReceiverClient:
         *,
         transmission: str,
         rounds: int = 1,
-        network: Mapping[str, Any] | None = None,
+        network: NetworkSettings | None = None,
     ) -> Sent:
         """Post the packets, then, for up to `rounds` - 1 more rounds, those that the receipt calls missing.
 
@@ -149,8 +150,8 @@ class ReceiverClient:
             Its id at the receiver.
         rounds : int
             1 sends each packet once.
-        network : mapping, optional
-            Settings of the network the receiver is to train.
+        network : NetworkSettings, optional
+            The network the receiver is to train; what is not set is left to the receiver.
 
         Raises
         ------
@@ -162,17 +163,16 @@ class ReceiverClient:
         """
         if rounds < 1:
             raise ParameterError(f"rounds must be 1 or more, got {rounds}")
+        asked = {} if network is None else network.model_dump(exclude_unset=True)
         wanted: Sequence[int] = range(len(packets))
-        sent = Sent(
-            await self._post(packets, wanted, transmission, 0, network), len(packets), sum(map(len, packets)), 0
-        )
+        sent = Sent(await self._post(packets, wanted, transmission, 0, asked), len(packets), sum(map(len, packets)), 0)
         for attempt in range(1, rounds):
             if sent.receipt.complete:
                 break
             # A receipt without a total means that nothing got through: the receiver cannot know what is missing.
             wanted = range(len(packets)) if sent.receipt.packets.total is None else sent.receipt.packets.missing
             wanted = [number for number in wanted if number < len(packets)]
-            sent.receipt = await self._post(packets, wanted, transmission, attempt, network)
+            sent.receipt = await self._post(packets, wanted, transmission, attempt, asked)
             sent.packets += len(wanted)
             sent.bytes += sum(len(packets[number]) for number in wanted)
             sent.retransmitted += len(wanted)
@@ -184,7 +184,7 @@ class ReceiverClient:
         wanted: Sequence[int],
         transmission: str,
         attempt: int,
-        network: Mapping[str, Any] | None,
+        network: Mapping[str, Any],
     ) -> Receipt:
         body = bytearray()
         receipt: Receipt | None = None
@@ -197,7 +197,7 @@ class ReceiverClient:
                     f"/v1/transmissions/{transmission}",
                     content=bytes(body),
                     headers={"Content-Type": MEDIA_TYPE, ATTEMPT_HEADER: str(attempt)},
-                    params=dict(network or {}),
+                    params=dict(network),
                     timeout=httpx.Timeout(READ_TIMEOUT + 8 * len(body) / SLOWEST_LINK, connect=CONNECT_TIMEOUT),
                 )
                 try:

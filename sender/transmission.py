@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, TypeAlias
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -100,7 +100,4 @@ def transmission_id(name: str) -> str:
 
 async def deliver(prepared: Prepared, order: Order, client: ReceiverClient) -> Sent:
     """Post the packets to the receiver, again where its receipt calls some missing (see `ReceiverClient.send`)."""
-    settings: dict[str, Any] | None = None
-    if order.network is not None:
-        settings = order.network.model_dump(exclude_unset=True)
-    return await client.send(prepared.packets, transmission=prepared.id, rounds=order.rounds, network=settings)
+    return await client.send(prepared.packets, transmission=prepared.id, rounds=order.rounds, network=order.network)

@@ -124,7 +124,6 @@ class Link:
         """
         packets = encode(features, transmission=transmission, options=options)
         async with self.client(channel) as client:
-            asked = network.model_dump(exclude_unset=True)
-            sent = await client.send(packets, transmission=transmission, rounds=rounds, network=asked)
+            sent = await client.send(packets, transmission=transmission, rounds=rounds, network=network)
             surface = await client.wait_ready(transmission)
             return Outcome(sent, await client.features(transmission), await client.grid(transmission, shape), surface)
