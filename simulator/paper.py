@@ -110,14 +110,7 @@ def panels(surface: Surface, *, seed: int = 0, shape: tuple[int, int] = (42, 42)
     clean = extract_features(cloud, gap=surface.gap, region=surface.region)
     options = WireOptions(precision="float64")
     channel = Channel.parse(NOISES["xyz"][1].format(noise=surface.noise), seed=seed)
-    noisy = direct(
-        clean,
-        transmission=f"paper-{surface.name}",
-        channel=channel,
-        options=options,
-        rounds=1,
-        shape=shape,
-    ).features
+    noisy = direct(clean, transmission=f"paper-{surface.name}", channel=channel, options=options).features
     if noisy is None:  # a channel of noise alone loses nothing
         raise RuntimeError("the noise channel lost the features")
 

@@ -232,7 +232,7 @@ def _nodes(grid: HeightGrid, side: int) -> FeatureSet:
 
 def _arrived(features: FeatureSet, options: WireOptions, channel: Channel) -> FloatArray | None:
     """The points that arrive, or None where they are no surface."""
-    arrived = direct(features, transmission="rivals", channel=channel, options=options, rounds=1, shape=(1, 1)).features
+    arrived = direct(features, transmission="rivals", channel=channel, options=options).features
     return None if arrived is None or len(arrived) < 3 else arrived.points
 
 

@@ -74,10 +74,10 @@ def direct(
     transmission: str,
     channel: Channel,
     options: WireOptions,
-    rounds: int,
-    shape: tuple[int, int],  # noqa: ARG001 - the network is trained by whom the features are handed to
+    rounds: int = 1,
+    shape: tuple[int, int] | None = None,  # noqa: ARG001 - a transport; who is handed the features trains the network
 ) -> Arrived:
-    """Encoder, channel and decoder in this process, in virtual time."""
+    """Encoder, channel and decoder in this process, in virtual time; a transport that has no grid to give."""
     packets = encode(features, transmission=transmission, options=options)
     reassembly = Reassembly(transmission)
     sent = sent_bytes = damaged = 0
@@ -88,7 +88,7 @@ def direct(
         reference = delivery.reference
         sent, sent_bytes = sent + len(outgoing), sent_bytes + sum(map(len, outgoing))
         decoder = PacketDecoder()
-        for packet in [*decoder.feed(b"".join(delivery.packets)), *decoder.close()]:
+        for packet in [*decoder.feed(delivery.body), *decoder.close()]:
             try:
                 reassembly.add(packet)
             except (ConflictError, LimitError):
@@ -282,7 +282,8 @@ def _reconstructions(
     # What is sent depends neither on the channel nor on the methods: a sweep over channels chooses it once. A cloud of
     # all the points there are is the same in every sample.
     source = source_of(trial.surface)
-    everything = source.nodes is not None and (trial.features.points or source.points) == source.nodes
+    points = trial.features.points or source.points
+    everything = points == source.nodes
     sent = _features(trial.surface, trial.features, trial.wire, trial.seed, 0 if everything else trial.sample)
     arrived = transport(
         sent,
@@ -293,7 +294,7 @@ def _reconstructions(
         shape=trial.grid,
     )
     common = common | {
-        "points": trial.features.points or source_of(trial.surface).points,
+        "points": points,
         "sends": trial.features.label,
         "kind": sent.kind,
         "gap": sent.gap,
@@ -307,9 +308,9 @@ def _reconstructions(
     }
     for text in trial.methods:
         method = parse_method(text)
-        points = arrived.features
+        given = arrived.features
         if method.on_cloud:
-            points = FeatureSet(_cloud(trial.surface, trial.features.points, trial.seed, trial.sample), sent.region)
+            given = FeatureSet(_cloud(trial.surface, trial.features.points, trial.seed, trial.sample), sent.region)
         # A receiver's grid spans the region evenly; the nodes of a measured surface, thinned, need not.
         evenly = arrived.grid is not None and _same_nodes(arrived.grid, truth)
         grid = arrived.grid if method.is_default and not method.on_cloud and evenly else None
@@ -318,7 +319,7 @@ def _reconstructions(
             continue
         rng = _generator(trial.seed, "method", text, trial.sample)
         start = clock()
-        errors = _errors(method, points, truth, rng)
+        errors = _errors(method, given, truth, rng)
         yield common | {"method": text} | errors, clock() - start
 
 
@@ -331,10 +332,8 @@ def _errors(method: Method, points: FeatureSet | None, truth: HeightGrid, rng: n
         if points is None:
             raise NotReadyError("nothing arrived")
         return _compared(truth, method.heights(points, truth, rng))
-    except (
-        SurfacelinkError,
-        np.linalg.LinAlgError,
-    ) as error:  # a method that breaks down loses its cell, not the campaign
+    except (SurfacelinkError, np.linalg.LinAlgError) as error:
+        # A method that breaks down loses its cell, not the campaign.
         return {"failure": f"{type(error).__name__}: {error}"}
 
 

@@ -112,7 +112,7 @@ def test_what_is_sent_again_meets_noise_as_strong_as_what_was_sent_first(tmp_pat
 
     def directly(noise: str) -> FloatArray:
         channel = Channel.parse(f"gaussian:{noise};erasure:p=0.5", seed=1)
-        arrived = direct(features, transmission="a", channel=channel, options=options, rounds=30, shape=SHAPE).features
+        arrived = direct(features, transmission="a", channel=channel, options=options, rounds=30).features
         assert arrived is not None
         return arrived.points
 
