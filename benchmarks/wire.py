@@ -20,7 +20,7 @@ from common.wire import PacketDecoder, Reassembly, WireOptions, cost, encode
 from common.wire.reedsolomon import correct
 from common.wire.reedsolomon import encode as rs_encode
 from sender.features import extract_features
-from sender.surfaces import find_surface, sample
+from sender.surfaces import find_surface
 from tests.common.wire.test_hostile import HOSTILE, receive
 
 PAPER = ("surface-1", "surface-2", "surface-3")
@@ -49,7 +49,7 @@ def sizes(console: Console) -> None:
     for name in PAPER:
         surface = find_surface(name)
         sets = [
-            extract_features(sample(name, None, np.random.default_rng(seed)), gap=surface.gap, region=surface.region)
+            extract_features(surface.sample(np.random.default_rng(seed)), gap=surface.gap, region=surface.region)
             for seed in range(SEEDS)
         ]
         for coding in ("plain", "compact"):

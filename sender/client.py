@@ -112,9 +112,7 @@ class ReceiverClient:
     tick: Sleep = anyio.sleep
 
     @classmethod
-    def connect(
-        cls, url: str, transport: httpx.AsyncBaseTransport | None = None, sleep: Sleep = anyio.sleep
-    ) -> ReceiverClient:
+    def connect(cls, url: str, transport: httpx.AsyncBaseTransport | None = None) -> ReceiverClient:
         """A client for the receiver at `url`; raises ParameterError for what is no http(s) URL."""
         try:
             parsed = httpx.URL(url)
@@ -123,7 +121,7 @@ class ReceiverClient:
         if parsed.scheme not in ("http", "https") or not parsed.host:
             raise ParameterError(f"{url!r} is not a receiver's URL; accepted is for example http://127.0.0.1:8001")
         timeout = httpx.Timeout(READ_TIMEOUT, connect=CONNECT_TIMEOUT)
-        return cls(httpx.AsyncClient(base_url=parsed, timeout=timeout, transport=transport), sleep=sleep)
+        return cls(httpx.AsyncClient(base_url=parsed, timeout=timeout, transport=transport))
 
     async def __aenter__(self) -> ReceiverClient:
         await self.http.__aenter__()

@@ -259,8 +259,3 @@ def names_file(name: str) -> bool:
     """Whether a name is meant as that of a file: there is one, or the name has a folder or an ending."""
     path = Path(name)
     return name not in SURFACES and (path.exists() or len(path.parts) > 1 or bool(path.suffix))
-
-
-def sample(name: str, n: int | None, rng: np.random.Generator) -> FloatArray:
-    """`n` points of the surface of that name, shape (n, 3); None for its usual number."""
-    return find_surface(name).sample(rng, n)

@@ -75,7 +75,6 @@ async def run_demo(
     names: tuple[str, ...] = DEMO_SURFACES,
     *,
     progress: Callable[[str], None] = lambda _stage: None,
-    clock: Callable[[], float] = time.monotonic,
 ) -> list[Trial]:
     """Send each surface through both channels and fetch what comes back.
 
@@ -87,8 +86,6 @@ async def run_demo(
         Surfaces by name.
     progress : callable
         Called with a line before each step; `steps` of them in all.
-    clock : callable
-        Seconds, for the column of that name.
 
     Raises
     ------
@@ -106,7 +103,7 @@ async def run_demo(
             arrived = []
             for label, channel in (("clean", "clean"), ("noisy", paper_noise(surface))):
                 progress(f"{name}, {label} channel")
-                arrived.append(await _transmit(receiver, sender, surface, truth, label, channel, clock))
+                arrived.append(await _transmit(receiver, sender, surface, truth, label, channel))
             trials.append(Trial(surface, truth, *arrived))
     return trials
 
@@ -123,15 +120,14 @@ async def _transmit(
     truth: HeightGrid,
     label: str,
     channel: str,
-    clock: Callable[[], float],
 ) -> Arrived:
     transmission = f"{surface.name}-{label}"
     await receiver.set_channel(channel, seed=SEED)
-    begin = clock()
+    begin = time.monotonic()
     sent_bytes = await _ask_to_send(sender, {"surface": surface.name, "id": transmission, "seed": SEED})
     await receiver.wait_ready(transmission)
     grid = await receiver.grid(transmission, truth.shape)
-    seconds = clock() - begin
+    seconds = time.monotonic() - begin
     features = await receiver.features(transmission)
     linear, cubic = [
         await anyio.to_thread.run_sync(reconstruct, method, features, truth.x, truth.y, np.random.default_rng(SEED))

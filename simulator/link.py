@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import anyio
 import httpx
 
 from common.channel import Channel
@@ -17,7 +16,7 @@ from common.surface import FeatureSet, FloatArray, HeightGrid
 from common.wire import WireOptions, encode
 from receiver.app import create_app
 from receiver.settings import Settings
-from sender.client import ReceiverClient, Sent, Sleep
+from sender.client import ReceiverClient, Sent
 from sender.transport import ChannelTransport
 
 IN_PROCESS_URL = "http://receiver.invalid"
@@ -56,10 +55,9 @@ class Link:
     Use `in_process` or `over_http`; both give the same numbers for the same arguments.
     """
 
-    def __init__(self, url: str, transport: Callable[[], httpx.AsyncBaseTransport], sleep: Sleep = anyio.sleep) -> None:
+    def __init__(self, url: str, transport: Callable[[], httpx.AsyncBaseTransport]) -> None:
         self._url = url
         self.transport = transport
-        self._sleep = sleep
 
     @classmethod
     @asynccontextmanager
@@ -82,9 +80,7 @@ class Link:
 
     def client(self, channel: Channel = Channel()) -> ReceiverClient:
         """A client of the receiver that sends through `channel`, whose delays pass in virtual time; to be entered."""
-        return ReceiverClient.connect(
-            self._url, ChannelTransport(self.transport(), channel, sleep=_virtual), self._sleep
-        )
+        return ReceiverClient.connect(self._url, ChannelTransport(self.transport(), channel, sleep=_virtual))
 
     async def send(
         self,

@@ -72,8 +72,7 @@ def silent(done: int, total: int) -> None:
 class Journal:
     """Finished trials, one JSON object a line, in the order in which they finished.
 
-    Use it as a context manager. A line that a kill has torn is no JSON object; it is counted in `torn` and its trial
-    counts as unfinished.
+    Use it as a context manager. A line that a kill has torn is no JSON object; its trial counts as unfinished.
 
     Raises
     ------
@@ -84,7 +83,6 @@ class Journal:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.finished: dict[str, Result] = {}
-        self.torn = 0
         try:
             data = path.read_bytes() if path.exists() else b""
             whole, newline, _ = data.rpartition(b"\n")
@@ -93,7 +91,6 @@ class Journal:
                 self._read(lines)
             elif not json.dumps(_HEADER).encode().startswith(data):
                 raise FileFormatError(f"{path} is not a journal of a campaign; move it away or choose another folder")
-            self.torn += bool(lines) and not data.endswith(b"\n")
             path.parent.mkdir(parents=True, exist_ok=True)
             # Unbuffered: a finished trial is with the operating system before the next one starts.
             self._file = path.open("ab" if lines else "wb", buffering=0)
@@ -107,11 +104,8 @@ class Journal:
     def _read(self, lines: Sequence[bytes]) -> None:
         if _json_object(lines[0]) != _HEADER:
             raise FileFormatError(f"{self.path} is not a journal of a campaign; move it away or choose another folder")
-        for line in lines[1:]:
-            record = _json_object(line)
-            if record is None:
-                self.torn += 1
-            else:
+        for record in map(_json_object, lines[1:]):
+            if record is not None:
                 self.finished[record["key"]] = Result(tuple(record["rows"]), tuple(record["seconds"]))
 
     def _write(self, record: Mapping[str, object]) -> None:

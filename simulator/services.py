@@ -8,7 +8,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,12 +39,7 @@ def free_port() -> int:
 
 
 @contextlib.contextmanager
-def running(
-    folder: Path,
-    *,
-    sleep: Callable[[float], None] = time.sleep,
-    clock: Callable[[], float] = time.monotonic,
-) -> Iterator[Services]:
+def running(folder: Path) -> Iterator[Services]:
     """Start a receiver and a sender on free ports; stop both at the end, whatever happens.
 
     Parameters
@@ -67,7 +62,7 @@ def running(
         ):
             log = folder / f"{name}.log"
             process = stack.enter_context(_process(name, arguments, log))
-            _wait_until_ready(name, process, url, log, sleep, clock)
+            _wait_until_ready(name, process, url, log)
         yield services
 
 
@@ -89,19 +84,12 @@ def _process(name: str, arguments: list[str], log: Path) -> Iterator[subprocess.
                 process.wait()
 
 
-def _wait_until_ready(
-    name: str,
-    process: subprocess.Popen[bytes],
-    url: str,
-    log: Path,
-    sleep: Callable[[float], None],
-    clock: Callable[[], float],
-) -> None:
-    end = clock() + START_TIMEOUT
-    while clock() < end and process.poll() is None:
+def _wait_until_ready(name: str, process: subprocess.Popen[bytes], url: str, log: Path) -> None:
+    end = time.monotonic() + START_TIMEOUT
+    while time.monotonic() < end and process.poll() is None:
         with contextlib.suppress(httpx.TransportError):
             if httpx.get(f"{url}/health/ready", timeout=5.0).is_success:
                 return
-        sleep(0.1)
+        time.sleep(0.1)
     last = log.read_text(errors="replace").strip().splitlines()[-3:]
     raise LinkError(f"the {name} did not start at {url}: {' / '.join(last) or 'it said nothing'}")

@@ -94,11 +94,6 @@ class Reassembly:
         return len(self._settle())
 
     @property
-    def parity_received(self) -> int:
-        """Packets with parity that arrived."""
-        return len(self._parity)
-
-    @property
     def missing(self) -> tuple[int, ...]:
         """Sequence numbers of the packets with points that are not here, ascending."""
         rebuilt = self._settle()

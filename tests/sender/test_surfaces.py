@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from common.errors import NotFoundError, ParameterError
-from sender.surfaces import SURFACES, find_surface, sample
+from sender.surfaces import SURFACES, find_surface
 
 
 @pytest.mark.parametrize(
@@ -31,13 +31,13 @@ def test_the_formulas(name: str, x: float, y: float, z: float) -> None:
 
 @pytest.mark.parametrize("name", SURFACES)
 def test_a_cloud_lies_in_its_region_and_repeats_from_its_seed(name: str) -> None:
-    cloud = sample(name, 50, np.random.default_rng(5))
+    surface = SURFACES[name]
+    cloud = surface.sample(np.random.default_rng(5), 50)
     assert cloud.shape == (50, 3)
-    np.testing.assert_array_equal(cloud, sample(name, 50, np.random.default_rng(5)))
-    assert not np.array_equal(cloud, sample(name, 50, np.random.default_rng(6)))
-    region = SURFACES[name].region
-    assert (cloud[:, 0] >= region.x_min).all()
-    assert (cloud[:, 1] <= region.y_max).all()
+    np.testing.assert_array_equal(cloud, surface.sample(np.random.default_rng(5), 50))
+    assert not np.array_equal(cloud, surface.sample(np.random.default_rng(6), 50))
+    assert (cloud[:, 0] >= surface.region.x_min).all()
+    assert (cloud[:, 1] <= surface.region.y_max).all()
 
 
 def test_the_elevation_grid_has_north_up_and_is_in_metres() -> None:
@@ -58,8 +58,8 @@ def test_a_wrong_name_lists_the_right_ones() -> None:
 
 def test_more_points_than_nodes_and_finer_grids_than_measured_are_refused() -> None:
     with pytest.raises(ParameterError, match="1 to 138632"):
-        sample("elevation", 200_000, np.random.default_rng(0))
+        SURFACES["elevation"].sample(np.random.default_rng(0), 200_000)
     with pytest.raises(ParameterError, match="invent heights"):
         SURFACES["elevation"].grid((1000, 1000))
     with pytest.raises(ParameterError, match="1 or more"):
-        sample("surface-1", 0, np.random.default_rng(0))
+        SURFACES["surface-1"].sample(np.random.default_rng(0), 0)
