@@ -8,8 +8,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from common.errors import FileFormatError, ParameterError
-from simulator.runner import Cell, Row
+from common.errors import MissingExtraError
+from simulator.runner import Row
 
 COLUMNS: Mapping[str, type[str] | type[int] | type[float]] = MappingProxyType(
     {
@@ -59,33 +59,13 @@ def to_csv(rows: Iterable[Row]) -> str:
     return text.getvalue()
 
 
-def from_csv(path: Path) -> list[dict[str, Cell]]:
-    """The rows of a table written by `to_csv`; raises FileFormatError where it is not one."""
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(file)
-            if tuple(reader.fieldnames or ()) != tuple(COLUMNS):
-                raise FileFormatError(
-                    f"{path} is not a table of a campaign: its first line must name {', '.join(COLUMNS)}"
-                )
-            return [
-                {name: None if row[name] == "" else kind(row[name]) for name, kind in COLUMNS.items()} for row in reader
-            ]
-    except OSError as error:
-        raise FileFormatError(f"cannot read {path}: {error.strerror or error}") from error
-    except (ValueError, TypeError, csv.Error) as error:
-        if isinstance(error, FileFormatError):
-            raise
-        raise FileFormatError(f"{path} is not a table of a campaign: {error}") from error
-
-
 def write_parquet(rows: Iterable[Row], path: Path) -> None:
-    """The rows as Parquet; raises ParameterError where pyarrow (the extra ``parquet``) is not installed."""
+    """The rows as Parquet; raises MissingExtraError where pyarrow (the extra ``parquet``) is not installed."""
     try:
         import pyarrow
         import pyarrow.parquet
     except ImportError as error:
-        raise ParameterError("Parquet needs pyarrow: pip install 'surfacelink[parquet]'") from error
+        raise MissingExtraError("Parquet needs pyarrow: pip install 'surfacelink[parquet]'") from error
     kinds = {str: pyarrow.string(), int: pyarrow.int64(), float: pyarrow.float64()}
     schema = pyarrow.schema([(name, kinds[kind]) for name, kind in COLUMNS.items()])
     pyarrow.parquet.write_table(pyarrow.Table.from_pylist([dict(row) for row in rows], schema), path)
