@@ -40,10 +40,13 @@ class SurfacelinkError(Exception):
         The HTTP status the error means.
     title : str
         A short sentence that is the same for every error of the class (RFC 9457, "title").
+    retry_after : int or None
+        Seconds after which to ask again, where the error passes by itself.
     """
 
     status: ClassVar[int] = 500
     title: ClassVar[str] = "Internal error"
+    retry_after: ClassVar[int | None] = None
 
     @property
     def detail(self) -> str:

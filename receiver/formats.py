@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from common.errors import NotAcceptableError
 from common.surface import FloatArray, HeightGrid, Units
+from common.wire import MEDIA_TYPE, MEDIA_TYPES
 from receiver.picture import Style, picture
 
 PART = 8_192
@@ -65,10 +66,13 @@ class Format(Generic[Content]):
         What `?f=` calls it, and the ending of a file of it.
     media_type : str
         What the answer's Content-Type says.
+    render : callable
+        Yields the bytes of some content.
     also : tuple of str
         Other media types that mean it in Accept.
-    extra : str or None
-        The extra of the distribution that brings what it needs, None where nothing is missing.
+    needs, extra : str or None
+        The module that it needs beyond the project's own dependencies, and the extra of the distribution that brings
+        it; None where it needs none.
     """
 
     name: str
@@ -243,7 +247,7 @@ def _table_msgpack(table: Table) -> Iterator[bytes]:
     return _msgpack(table.about | {"dtype": "<f8"} | packed)
 
 
-_MSGPACK_ALSO = ("application/msgpack", "application/x-msgpack")
+_MSGPACK_ALSO = tuple(sorted(MEDIA_TYPES - {MEDIA_TYPE}))
 _NPY_ALSO = ("application/npy", "application/octet-stream")
 
 GRID_FORMATS: tuple[Format[GridAnswer], ...] = (
@@ -251,7 +255,7 @@ GRID_FORMATS: tuple[Format[GridAnswer], ...] = (
     Format("csv", "text/csv", _grid_csv),
     Format("npy", "application/x-npy", _grid_npy, _NPY_ALSO),
     Format("npz", "application/x-npz", _grid_npz, ("application/npz",)),
-    Format("msgpack", "application/vnd.msgpack", _grid_msgpack, _MSGPACK_ALSO),
+    Format("msgpack", MEDIA_TYPE, _grid_msgpack, _MSGPACK_ALSO),
     Format("png", "image/png", _grid_png),
     Format("tif", "image/tiff", _grid_tif, ("image/geotiff",), needs="tifffile", extra="tif"),
 )
@@ -261,7 +265,7 @@ TABLE_FORMATS: tuple[Format[Table], ...] = (
     Format("csv", "text/csv", _table_csv),
     Format("npy", "application/x-npy", _table_npy, _NPY_ALSO),
     Format("npz", "application/x-npz", _table_npz, ("application/npz",)),
-    Format("msgpack", "application/vnd.msgpack", _table_msgpack, _MSGPACK_ALSO),
+    Format("msgpack", MEDIA_TYPE, _table_msgpack, _MSGPACK_ALSO),
 )
 
 

@@ -29,8 +29,7 @@ def respond(problem: Problem, headers: Mapping[str, str] | None = None) -> Respo
 
 
 def _headers_of(error: SurfacelinkError) -> dict[str, str]:
-    retry_after = getattr(error, "retry_after", None)
-    return {} if retry_after is None else {"Retry-After": str(retry_after)}
+    return {} if error.retry_after is None else {"Retry-After": str(error.retry_after)}
 
 
 async def _on_surfacelink_error(_request: Request, error: Exception) -> Response:

@@ -51,7 +51,9 @@ def read_points(path: Path, columns: Sequence[str] | None = None) -> FloatArray:
     Raises
     ------
     FileFormatError
-        If the file cannot be read or holds no points.
+        If the file cannot be read, and as `parse_points` says.
+    PointsError
+        If the numbers are not finite.
     """
     try:
         data = path.read_bytes()

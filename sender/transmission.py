@@ -68,8 +68,12 @@ def prepare(order: Order, upload: tuple[str, Callable[[], FloatArray]] | None = 
 
     Raises
     ------
+    NotFoundError
+        If there is no such surface.
     InputError
-        If there is no such surface, the cloud is no surface, or a setting does not fit it.
+        If the cloud is no surface, or a setting does not fit it; and what `read` raises.
+    LimitError
+        If there are more points or packets than the wire accepts.
     """
     region: Region | None = None
     gap: float | None

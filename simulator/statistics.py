@@ -1,4 +1,4 @@
-"""Medians and bands over the samples of a campaign, and who wins where."""
+"""Rows of a campaign by what they have in common, and medians and bands over their samples."""
 
 from __future__ import annotations
 
