@@ -11,13 +11,14 @@ import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeAlias
+from typing import Annotated, Any, Self, TypeAlias
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from common.channel import Channel, PointImpairment
-from common.errors import ChannelError, MissingExtraError, NotFoundError, ParameterError
+from common.errors import MissingExtraError, NotFoundError, ParameterError
 from common.wire import WireOptions
+from sender.features import Extracted
 from sender.surfaces import find_surface
 from simulator import fields
 from simulator.codecs import find_codec
@@ -84,7 +85,7 @@ class FeatureSettings(Settings):
     """
 
     points: int | None = Field(default=None, ge=3, le=10_000_000)
-    kind: Literal["extrema", "lattice", "cloud"] = "extrema"
+    kind: Extracted = "extrema"
     gap: float | None = Field(default=None, gt=0)
     pieces: int | None = Field(default=None, ge=1, le=4000)
     budget: int | None = Field(default=None, ge=64)
@@ -153,10 +154,7 @@ class ChannelSweep(Settings):
             text = self.at(level, extent=1.0, noise=1.0)
             if "{" in text or "}" in text:
                 raise ValueError(f"{self.spec!r}: accepted in braces are {{level}}, {{z}}, {{noise}}")
-            try:
-                Channel.parse(text)
-            except ChannelError as error:
-                raise ValueError(str(error)) from error
+            Channel.parse(text)
         return self
 
     def only(self, level: float | None) -> Self:
@@ -262,10 +260,7 @@ class Campaign(Settings):
     @classmethod
     def _known(cls, methods: tuple[str, ...]) -> tuple[str, ...]:
         for method in methods:
-            try:
-                parse_method(method)
-            except ParameterError as error:
-                raise ValueError(str(error)) from error
+            parse_method(method)
         if len(set(methods)) < len(methods):
             raise ValueError("a method stands twice")
         return methods
