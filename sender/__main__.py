@@ -105,7 +105,7 @@ def send(
     harm = Channel.parse(channel, seed=channel_seed)
     wire: dict[str, Any] = {"datagram": datagram, "coding": coding, "parity": parity, "copies": copies}
     wire["inner"] = inner
-    wire["precision"] = int(precision) if precision.isdigit() else precision
+    wire["precision"] = int(precision) if precision.isdecimal() else precision
     path = Path(what)
     is_file = names_file(what)
     order = _order(

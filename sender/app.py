@@ -205,7 +205,7 @@ async def send(
         order = _parse(await _body(request, MULTIPART_OVERHEAD))
     elif kind == "multipart/form-data":
         declared = request.headers.get("content-length", "")
-        if not declared.isdigit() or int(declared) > settings.max_upload_bytes + MULTIPART_OVERHEAD:
+        if not declared.isdecimal() or int(declared) > settings.max_upload_bytes + MULTIPART_OVERHEAD:
             raise LimitError(f"an upload must declare its length, at most {settings.max_upload_bytes} bytes")
         async with request.form(max_files=1, max_fields=1) as form:
             file, text = form.get("file"), form.get("order")

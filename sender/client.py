@@ -346,7 +346,7 @@ def _advice(error: httpx.TransportError) -> str:
 
 def _retry_after(answer: httpx.Response) -> float | None:
     value = answer.headers.get("Retry-After", "")
-    return min(float(value), 60.0) if value.isdigit() else None
+    return min(float(value), 60.0) if value.isdecimal() else None
 
 
 def _problem(answer: httpx.Response) -> SurfacelinkError:

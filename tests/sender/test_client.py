@@ -192,6 +192,12 @@ def test_failures_that_may_pass_are_tried_again_with_growing_pauses() -> None:
     assert 4 * policy.first * (1 - policy.jitter) <= receiver.slept[2] <= 4 * policy.first
 
 
+def test_a_pause_that_is_no_number_is_not_kept() -> None:
+    receiver = Receiver(httpx.Response(503, headers=[(b"Retry-After", b"\xb2")]), accepted([]))  # a superscript two
+    receiver.run(send)
+    assert 0 < receiver.slept[0] <= RetryPolicy().first
+
+
 def test_a_receiver_that_is_not_running_is_named_with_what_to_do() -> None:
     receiver = Receiver(*[httpx.ConnectError("All connection attempts failed")] * 4)
     with pytest.raises(LinkError, match=r"receiver\.test does not answer.*receiver serve"):

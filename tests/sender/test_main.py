@@ -39,6 +39,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *ar
             ["surface-1", "--precision", "200"],
             ": precision: Input should be 'float64' or 'float32', or less than or equal",
         ),
+        (["surface-1", "--precision", "\N{SUPERSCRIPT TWO}"], ": precision: Input should be 'float64' or 'float32'"),
         (["surface-1", "--inner", "300"], ": inner: Input should be 0, or 16, 32, 64 or 128\n"),
         (["names.csv"], "names.csv holds a line of names and no point"),
         (["huge.csv"], "1e+300; accepted are coordinates up to 1e+100"),
