@@ -60,6 +60,15 @@ STYLE: dict[Any, Any] = {
 }
 
 
+def line_style(k: int) -> dict[str, Any]:
+    """Colour, dashes and marker of the `k`-th line of a plot, as matplotlib's keywords."""
+    return {
+        "color": OKABE_ITO[k % len(OKABE_ITO)],
+        "linestyle": DASHES[k % len(DASHES)],
+        "marker": MARKERS[k % len(MARKERS)],
+    }
+
+
 def page(title: str, body: str, *, script: str = "") -> str:
     """A whole HTML page; `body` is HTML, `title` is text, `script` the name of a script in assets."""
     assets = files("simulator") / "assets"

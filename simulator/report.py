@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import cache
 from html import escape
 from types import MappingProxyType
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import matplotlib as mpl
 import numpy as np
@@ -27,12 +27,10 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocat
 
 from common.channel import Channel
 from simulator.page import (
-    DASHES,
-    MARKERS,
-    OKABE_ITO,
     STYLE,
     TableCell,
     illustration,
+    line_style,
     page,
     svg,
     table,
@@ -208,14 +206,6 @@ def draw_curves(all_curves: Curves, look: AxisLook, lines: Sequence[str]) -> Fig
     return figure
 
 
-def _line_style(k: int) -> dict[str, Any]:
-    return {
-        "color": OKABE_ITO[k % len(OKABE_ITO)],
-        "linestyle": DASHES[k % len(DASHES)],
-        "marker": MARKERS[k % len(MARKERS)],
-    }
-
-
 def _draw_lines(
     axes: Axes, of: Mapping[str, Sequence[tuple[float, Spread]]], look: AxisLook, lines: Sequence[str]
 ) -> None:
@@ -227,7 +217,7 @@ def _draw_lines(
             continue
         x = np.array([level for level, _ in points])
         median, low, high = (np.array([getattr(s, name) for _, s in points]) for name in ("median", "low", "high"))
-        style = _line_style(k)
+        style = line_style(k)
         own = line.startswith(NETWORK)
         axes.plot(
             x, np.where(np.isfinite(median), median, np.nan), label=line, zorder=5 if own else 3,
@@ -277,7 +267,7 @@ def draw_time(rows: Sequence[Row], seconds: Sequence[float | None]) -> Figure | 
         axes = figure.subplots()
         for k, method in enumerate(methods):
             sizes = sorted(cells[method])
-            axes.plot(sizes, [float(np.median(cells[method][size])) for size in sizes], label=method, **_line_style(k))
+            axes.plot(sizes, [float(np.median(cells[method][size])) for size in sizes], label=method, **line_style(k))
         axes.set(xscale="log", yscale="log", xlabel="points given to the method", ylabel="seconds, fit and grid")
         if len(sizes_drawn) <= 8:
             axes.xaxis.set_major_locator(FixedLocator(sizes_drawn))
@@ -384,14 +374,6 @@ def _of_a_budget(row: Row) -> Row:
     return {**row, "sends": sends, "budget": budget[1] if budget else ""}
 
 
-def group_by_axis(cells: Sequence[Contest]) -> dict[str, list[Contest]]:
-    """The cells of each axis of the channel."""
-    found: dict[str, list[Contest]] = {}
-    for cell in cells:
-        found.setdefault(cell.axis, []).append(cell)
-    return found
-
-
 def _level(contest: Contest) -> str:
     size = f", {int(contest.budget):,} bytes" if contest.budget else ""
     if contest.level is None:
@@ -418,7 +400,7 @@ def contests_html(cells: Sequence[Contest], notes: Mapping[str, str]) -> str:
         else "No line has a surface."
     )
     intro = f"<p class='lead'>{words}</p>"
-    by_axis = group_by_axis(harmful)
+    by_axis = group(harmful, lambda cell: cell.axis)
     if len(by_axis) > 1:
         shares = [
             f"{escape(look_of(axis).label)}: {sum(cell.winner == cell.own for cell in of)} of {len(of)}"

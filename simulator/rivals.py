@@ -40,7 +40,7 @@ from simulator.codecs.protection import PROTECTIONS
 from simulator.codecs.survival import expose
 from simulator.fields import field
 from simulator.folder import make_folder
-from simulator.page import DASHES, MARKERS, OKABE_ITO, STYLE, TableCell, illustration, page, png, svg, table
+from simulator.page import STYLE, TableCell, illustration, line_style, page, png, svg, table
 from simulator.progress import progress_bar
 from simulator.runner import Progress, Row, silent
 from simulator.statistics import Spread, group
@@ -343,17 +343,9 @@ def _draw(ax: Axes, rows: Sequence[Row], name: str, axis: str) -> None:
             np.minimum([getattr(spread, part) for spread in cells.values()], NO_SURFACE)
             for part in ("low", "median", "high")
         )
-        colour = OKABE_ITO[look % len(OKABE_ITO)]
-        ax.fill_between(levels, low, high, color=colour, alpha=0.12, linewidth=0)
-        ax.plot(
-            levels,
-            middle,
-            color=colour,
-            linestyle=DASHES[look % len(DASHES)],
-            marker=MARKERS[look % len(MARKERS)],
-            label=label,
-            linewidth=2.4 if label.endswith("network") else 1.4,
-        )
+        style = line_style(look)
+        ax.fill_between(levels, low, high, color=style["color"], alpha=0.12, linewidth=0)
+        ax.plot(levels, middle, label=label, linewidth=2.4 if label.endswith("network") else 1.4, **style)
     ax.set_yscale("log")
     if axis == "ber":
         ax.set_xscale("log")

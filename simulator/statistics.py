@@ -35,14 +35,15 @@ class Spread:
         return cls(float(median), float(low), float(high), len(numbers), int(np.isinf(numbers).sum()))
 
 
+Item = TypeVar("Item")
 Key = TypeVar("Key", bound=Hashable)
 
 
-def group(rows: Iterable[Row], key: Callable[[Row], Key]) -> dict[Key, list[Row]]:
-    """The rows by key, both in order of appearance."""
-    groups: dict[Key, list[Row]] = defaultdict(list)
-    for row in rows:
-        groups[key(row)].append(row)
+def group(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
+    """The items by key, both in order of appearance."""
+    groups: dict[Key, list[Item]] = defaultdict(list)
+    for item in items:
+        groups[key(item)].append(item)
     return dict(groups)
 
 
