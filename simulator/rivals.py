@@ -10,12 +10,11 @@ from __future__ import annotations
 import csv
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Literal, NamedTuple, TypeAlias
 
 import matplotlib as mpl
 import numpy as np
@@ -46,17 +45,33 @@ from simulator.runner import Progress, Row, silent
 from simulator.statistics import Spread, group
 from simulator.trial import direct
 
-Contest: TypeAlias = tuple[str, int, int]
-"""Field, bytes on the air, bytes of a datagram."""
 
-CONTESTS: tuple[Contest, ...] = (("elevation", 2048, 256), ("franke", 512, 64))
+class Contest(NamedTuple):
+    """What all rivals send: a field of `simulator.fields`, in so many bytes on the air, in datagrams of so many."""
+
+    field: str
+    budget: int
+    datagram: int
+
+
+CONTESTS = (Contest("elevation", 2048, 256), Contest("franke", 512, 64))
 """Rough terrain, where a transform codec is at home, and a smooth surface in a few small datagrams."""
 
-LEVELS: Mapping[str, tuple[float, ...]] = MappingProxyType(
-    {"ber": (1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2), "loss": (0.0, 0.05, 0.1, 0.2, 0.3, 0.5)}
+
+class Axis(NamedTuple):
+    """A kind of harm: its name on the page, the channel (``{level}`` stands for the level), the levels tried."""
+
+    label: str
+    channel: str
+    levels: tuple[float, ...]
+
+
+AXES: Mapping[str, Axis] = MappingProxyType(
+    {
+        "ber": Axis("bit-error rate", "bit_errors:ber={level}", (1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)),
+        "loss": Axis("share of packets lost", "erasure:p={level}", (0.0, 0.05, 0.1, 0.2, 0.3, 0.5)),
+    }
 )
-CHANNELS: Mapping[str, str] = MappingProxyType({"ber": "bit_errors:ber={level}", "loss": "erasure:p={level}"})
-AXES: Mapping[str, str] = MappingProxyType({"ber": "bit-error rate", "loss": "share of packets lost"})
 
 COLUMNS = ("field", "bytes", "rival", "axis", "level", "seed", "sent", "nrmse")
 """Of the table; an empty nrmse is no surface."""
@@ -126,18 +141,17 @@ def run_rivals(
     """
     make_folder(out)
     entered = [rival for rival in rivals if rival.points or CODECS[rival.codec].available]
-    total = len(contests) * len(entered) * sum(map(len, LEVELS.values()))
+    total = len(contests) * len(entered) * sum(len(axis.levels) for axis in AXES.values())
     rows: list[Row] = []
-    with ExitStack() as stack:
-        box = stack.enter_context(Sandbox(workers=workers, seconds=SECONDS, memory=MEMORY))
+    with Sandbox(workers=workers, seconds=SECONDS, memory=MEMORY) as box:
         done = 0
         for contest in contests:
             for rival in entered:
                 run = _prepared(rival, contest, box)
-                for axis, levels in LEVELS.items():
-                    for level in levels:
+                for name, axis in AXES.items():
+                    for level in axis.levels:
                         if run is not None:
-                            rows += _rows(rival, contest, axis, level, seeds, run)
+                            rows += _rows(rival, contest, name, level, seeds, run)
                         done += 1
                         progress(done, total)
     with (out / "rivals.csv").open("w", encoding="utf-8", newline="") as file:
@@ -156,38 +170,44 @@ Run: TypeAlias = Callable[[Channel, Sequence[int]], tuple[int, Sequence[float | 
 
 def _prepared(rival: Rival, contest: Contest, box: Sandbox) -> Run | None:
     """What sends the contest's field as the rival does; None where the bytes are too few for it."""
-    name, budget, datagram = contest
-    grid = field(name)
-    if rival.points is not None:
-        try:
-            features, options = (_extrema if rival.points == "extrema" else _lattice)(rival, grid, budget, datagram)
-        except ParameterError:
-            return None
-        sent = sum(map(len, encode(features, transmission="rivals", options=options)))
-        known: dict[bytes, float] = {}
-
-        def by_points(channel: Channel, seeds: Sequence[int]) -> tuple[int, Sequence[float | None]]:
-            arrivals = [_arrived(features, options, Channel(channel.impairments, seed)) for seed in seeds]
-            # The same points arrive again and again: each set is trained on once.
-            fresh = {points.tobytes(): points for points in arrivals if points is not None}
-            calls = [(points, grid) for key, points in fresh.items() if key not in known]
-            for call, error in zip(calls, box.map(network_error, calls), strict=True):
-                if isinstance(error, Failure):
-                    raise TrainingError(f"a network on {name} ended by {error.kind}: {error.detail}")
-                known[call[0].tobytes()] = error
-            return sent, [None if points is None else known[points.tobytes()] for points in arrivals]
-
-        return by_points
     try:
-        message = best(rival.codec, grid.z, PROTECTIONS[rival.protection].payload(budget))
+        return (_by_points if rival.points is not None else _by_codec)(rival, contest, box)
     except ParameterError:
         return None
 
-    def by_codec(channel: Channel, seeds: Sequence[int]) -> tuple[int, Sequence[float | None]]:
-        survival = expose(grid.z, message, channel, seeds, protection=rival.protection, datagram=datagram, sandbox=box)
+
+def _by_points(rival: Rival, contest: Contest, box: Sandbox) -> Run:
+    grid = field(contest.field)
+    choose = _extrema if rival.points == "extrema" else _lattice
+    features, options = choose(rival, grid, contest.budget, contest.datagram)
+    sent = sum(map(len, encode(features, transmission="rivals", options=options)))
+    known: dict[bytes, float] = {}
+
+    def run(channel: Channel, seeds: Sequence[int]) -> tuple[int, Sequence[float | None]]:
+        arrivals = [_arrived(features, options, Channel(channel.impairments, seed)) for seed in seeds]
+        # The same points arrive again and again: each set is trained on once.
+        fresh = {points.tobytes(): points for points in arrivals if points is not None}
+        calls = [(points, grid) for key, points in fresh.items() if key not in known]
+        for call, error in zip(calls, box.map(network_error, calls), strict=True):
+            if isinstance(error, Failure):
+                raise TrainingError(f"a network on {contest.field} ended by {error.kind}: {error.detail}")
+            known[call[0].tobytes()] = error
+        return sent, [None if points is None else known[points.tobytes()] for points in arrivals]
+
+    return run
+
+
+def _by_codec(rival: Rival, contest: Contest, box: Sandbox) -> Run:
+    z = field(contest.field).z
+    message = best(rival.codec, z, PROTECTIONS[rival.protection].payload(contest.budget))
+
+    def run(channel: Channel, seeds: Sequence[int]) -> tuple[int, Sequence[float | None]]:
+        survival = expose(
+            z, message, channel, seeds, protection=rival.protection, datagram=contest.datagram, sandbox=box
+        )
         return survival.sent, survival.errors
 
-    return by_codec
+    return run
 
 
 def _extrema(rival: Rival, grid: HeightGrid, budget: int, datagram: int) -> tuple[FeatureSet, WireOptions]:
@@ -245,14 +265,13 @@ def network_error(points: FloatArray, grid: HeightGrid) -> float:
 
 
 def _rows(rival: Rival, contest: Contest, axis: str, level: float, seeds: int, run: Run) -> list[Row]:
-    name, budget, _ = contest
-    channel = Channel.parse(CHANNELS[axis].format(level=level))
+    channel = Channel.parse(AXES[axis].channel.format(level=level))
     # A channel that does nothing does it for every seed.
     sent, errors = run(channel, range(seeds if level else 1))
     return [
         {
-            "field": name,
-            "bytes": budget,
+            "field": contest.field,
+            "bytes": contest.budget,
             "rival": rival.label,
             "axis": axis,
             "level": level,
@@ -310,7 +329,7 @@ def verdict(found: Mapping[str, Mapping[float, Spread]], axis: str) -> str:
             ]
             words += f", the best network behind by a factor of {_span(behind)}"
         said.append(words)
-    return f"{AXES[axis].capitalize()}: " + "; ".join(said) + "."
+    return f"{AXES[axis].label.capitalize()}: " + "; ".join(said) + "."
 
 
 def _span(factors: Sequence[float]) -> str:
@@ -323,7 +342,7 @@ def figure(rows: Sequence[Row], name: str, budget: int) -> Figure:
     with mpl.rc_context(STYLE):
         drawn = Figure(figsize=(10.5, 5.2))
         axes = drawn.subplots(1, 2, sharey=True)
-        for ax, axis in zip(axes, LEVELS, strict=True):
+        for ax, axis in zip(axes, AXES, strict=True):
             _draw(ax, rows, name, axis)
         axes[0].set_ylabel("NRMSE (1: no surface)")
         axes[0].set_title(f"{name}, {budget:,} bytes on the air: bit errors")
@@ -349,7 +368,7 @@ def _draw(ax: Axes, rows: Sequence[Row], name: str, axis: str) -> None:
     ax.set_yscale("log")
     if axis == "ber":
         ax.set_xscale("log")
-    ax.set_xlabel(AXES[axis])
+    ax.set_xlabel(AXES[axis].label)
 
 
 def _page(rows: Sequence[Row], contests: Sequence[Contest], seeds: int) -> str:
@@ -363,7 +382,7 @@ def _page(rows: Sequence[Row], contests: Sequence[Contest], seeds: int) -> str:
     for name, budget, datagram in contests:
         caption = f"{escape(name)}: {budget:,} bytes in datagrams of {datagram}."
         parts += [f"<h2>{escape(name)}</h2>", illustration(svg(figure(rows, name, budget)), caption)]
-        for axis in LEVELS:
+        for axis in AXES:
             found = spreads(rows, name, axis)
             best_at = winners(found)
             parts.append(f"<p>{escape(verdict(found, axis))}</p>")
@@ -372,7 +391,7 @@ def _page(rows: Sequence[Row], contests: Sequence[Contest], seeds: int) -> str:
                 [rival, *(_cell(cells.get(level), winner=best_at[level] == rival) for level in best_at)]
                 for rival, cells in found.items()
             ]
-            parts.append(table(head, body, caption=f"Median NRMSE by {AXES[axis]}; the best in bold."))
+            parts.append(table(head, body, caption=f"Median NRMSE by {AXES[axis].label}; the best in bold."))
     return page("Features and raster codecs at equal bytes", "\n".join(parts))
 
 
@@ -395,7 +414,7 @@ def rivals_command(
     with progress_bar(console, "rivals") as progress:
         rows = run_rivals(out, seeds=seeds, workers=workers, progress=progress)
     for name, budget, _ in CONTESTS:
-        for axis in LEVELS:
+        for axis in AXES:
             said = verdict(spreads(rows, name, axis), axis)
             console.print(f"{name}, {budget} bytes. {said}", highlight=False)
     console.print(f"{out / 'rivals.html'}", highlight=False, soft_wrap=True)

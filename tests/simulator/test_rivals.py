@@ -10,17 +10,18 @@ import pytest
 from common.errors import ParameterError
 from sender.surfaces import find_surface
 from simulator import rivals
-from simulator.rivals import LEVELS, RIVALS, Rival, run_rivals, spreads, verdict, winners
+from simulator.rivals import AXES, RIVALS, Contest, Rival, run_rivals, spreads, verdict, winners
 from simulator.statistics import Spread
 
-CONTEST = ("franke", 512, 64)
+CONTEST = Contest("franke", 512, 64)
 FEW = (RIVALS[0], RIVALS[2], RIVALS[3], Rival("scattered", codec="scattered_samples"))
 
 
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few levels and a small field: what is tested is the contest, not its outcome."""
-    monkeypatch.setattr(rivals, "LEVELS", {"ber": (1e-4, 1e-2), "loss": (0.0, 0.4)})
+    levels = {"ber": (1e-4, 1e-2), "loss": (0.0, 0.4)}
+    monkeypatch.setattr(rivals, "AXES", {name: AXES[name]._replace(levels=few) for name, few in levels.items()})
     monkeypatch.setattr(rivals, "field", lambda name: find_surface(name).grid((48, 48)))
 
 
@@ -59,7 +60,7 @@ def test_the_winner_has_the_least_median_and_failures_never_win() -> None:
 
 @pytest.mark.usefixtures("small")
 def test_bytes_too_few_for_a_rival_leave_it_out(tmp_path: Path) -> None:
-    rows = run_rivals(tmp_path, seeds=1, workers=1, contests=[("franke", 70, 64)], rivals=[RIVALS[3], FEW[3]])
+    rows = run_rivals(tmp_path, seeds=1, workers=1, contests=[Contest("franke", 70, 64)], rivals=[RIVALS[3], FEW[3]])
     assert {row["rival"] for row in rows} == {"scattered"}
 
 
@@ -71,7 +72,6 @@ def test_a_folder_that_cannot_be_is_one_line(tmp_path: Path) -> None:
 
 def test_the_labels_of_the_rivals_are_told_apart() -> None:
     assert len({rival.label for rival in RIVALS}) == len(RIVALS) <= 8
-    assert set(LEVELS) == set(rivals.CHANNELS) == set(rivals.AXES)
 
 
 def test_the_verdict_says_who_wins_where_and_how_far_the_network_is_behind() -> None:
