@@ -20,8 +20,9 @@ from common.channel.carrying import (
     faults_header,
     transmission_of,
 )
-from common.errors import LimitError, SurfacelinkError
+from common.errors import SurfacelinkError
 from common.problems import problem_of
+from receiver.limits import limited
 from receiver.problems import respond
 
 Sleep: TypeAlias = Callable[[float], Awaitable[None]]
@@ -69,7 +70,7 @@ class ChannelMiddleware:
         try:
             headers = Headers(scope=scope)
             attempt = attempt_of(headers.get(ATTEMPT_HEADER))
-            body = await self._read(headers, receive)
+            body = await _read(limited(scope, receive, self.max_body_bytes))
         except SurfacelinkError as error:
             await respond(problem_of(error))(scope, receive, send)
             return
@@ -87,29 +88,23 @@ class ChannelMiddleware:
         scope = {**scope, "headers": _with_length(headers, len(harmed)), SENT: body, FAULTS: faults}
         await self.app(scope, _replay(harmed, receive), _announce(faults, send))
 
-    async def _read(self, headers: Headers, receive: Receive) -> bytes | None:
-        """The whole body, or None where the client went away; raises LimitError."""
-        declared = headers.get("content-length", "")
-        if declared.isdecimal() and int(declared) > self.max_body_bytes:
-            raise LimitError(f"the body is longer than {self.max_body_bytes} bytes")
-        chunks: list[bytes] = []
-        size = 0
-        while True:
-            message = await receive()
-            if message["type"] != "http.request":
-                return None
-            chunks.append(message.get("body", b""))
-            size += len(chunks[-1])
-            if size > self.max_body_bytes:
-                raise LimitError(f"the body is longer than {self.max_body_bytes} bytes")
-            if not message.get("more_body", False):
-                return b"".join(chunks)
-
 
 def _transmission(scope: Scope) -> str | None:
     if scope["type"] != "http" or scope["method"] != "POST":
         return None
     return transmission_of(scope["path"].removeprefix(scope.get("root_path", "")))
+
+
+async def _read(receive: Receive) -> bytes | None:
+    """The whole body, or None where the client went away."""
+    chunks: list[bytes] = []
+    while True:
+        message = await receive()
+        if message["type"] != "http.request":
+            return None
+        chunks.append(message.get("body", b""))
+        if not message.get("more_body", False):
+            return b"".join(chunks)
 
 
 def _with_length(headers: Headers, length: int) -> list[tuple[bytes, bytes]]:

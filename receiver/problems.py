@@ -12,8 +12,9 @@ from fastapi.responses import Response
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from common.errors import LimitError, NotFoundError, SurfacelinkError
+from common.errors import NotFoundError, SurfacelinkError
 from common.problems import MEDIA_TYPE, Problem, kinds, problem_of, problem_of_fields, problem_of_status
+from receiver.limits import limited
 
 logger = logging.getLogger(__name__)
 
@@ -87,16 +88,7 @@ class Guard:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        received = 0
         started = False
-
-        async def limited() -> Message:
-            nonlocal received
-            message = await receive()
-            received += len(message.get("body", b""))
-            if received > self.max_body_bytes:
-                raise LimitError(f"the body is longer than {self.max_body_bytes} bytes")
-            return message
 
         async def noted(message: Message) -> None:
             nonlocal started
@@ -104,10 +96,7 @@ class Guard:
             await send(message)
 
         try:
-            declared = dict(scope["headers"]).get(b"content-length", b"0")
-            if declared.isdigit() and int(declared) > self.max_body_bytes:
-                raise LimitError(f"the body is longer than {self.max_body_bytes} bytes")
-            await self.app(scope, limited, noted)
+            await self.app(scope, limited(scope, receive, self.max_body_bytes), noted)
         except SurfacelinkError as error:
             if started:
                 raise
