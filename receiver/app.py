@@ -74,7 +74,7 @@ def _settings(request: Request) -> Settings:
 
 
 Here = Annotated[Surfaces, Depends(_surfaces)]
-Known = Annotated[Settings, Depends(_settings)]
+Configured = Annotated[Settings, Depends(_settings)]
 Id = Annotated[
     str,
     Path(
@@ -165,7 +165,7 @@ async def list_surfaces(
 
 
 @api.get("/v1/surfaces/{id}", tags=["surfaces"], summary="Describe a surface", responses=_problems(404, 422))
-async def get_surface(here: Here, settings: Known, name: Id, wait: Wait = 0.0) -> schemas.SurfaceInfo:
+async def get_surface(here: Here, settings: Configured, name: Id, wait: Wait = 0.0) -> schemas.SurfaceInfo:
     """State, region, units, packets, and the network once it is ready; with `wait`, after it is ready or failed."""
     if wait:
         await here.settle(name, _bounded(wait, settings))
@@ -192,7 +192,7 @@ async def delete_surface(here: Here, name: Id) -> None:
 async def get_grid(
     request: Request,
     here: Here,
-    settings: Known,
+    settings: Configured,
     name: Id,
     shape: Annotated[
         str | None,
@@ -268,7 +268,7 @@ async def get_features(
 async def get_network(
     request: Request,
     here: Here,
-    settings: Known,
+    settings: Configured,
     name: Id,
     form: TableForm = None,
     wait: Wait = 0.0,
@@ -307,7 +307,7 @@ async def follow_all(here: Here) -> AsyncIterator[ServerSentEvent]:
 
 
 @api.get("/v1/channel", tags=["channel"], summary="Show the channel in force")
-async def get_channel(request: Request, settings: Known) -> schemas.ChannelInfo:
+async def get_channel(request: Request, settings: Configured) -> schemas.ChannelInfo:
     """What harms each transmission before the receiver sees it."""
     return _channel_info(request.app.state.channel, settings)
 
@@ -315,7 +315,7 @@ async def get_channel(request: Request, settings: Known) -> schemas.ChannelInfo:
 @api.put("/v1/channel", tags=["channel"], summary="Put a channel in force", responses=_problems(403, 422))
 async def put_channel(
     request: Request,
-    settings: Known,
+    settings: Configured,
     document: Annotated[
         Any,
         Body(

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Literal
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
@@ -13,6 +13,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from common.messages import Delivery
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
+
+METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "PATCH"})
+"""Counted by name; whatever else a client makes up is "other"."""
 
 
 class Metrics:
@@ -50,11 +53,9 @@ class Metrics:
         """Count a training that ended."""
         self._trainings.labels(outcome).inc()
 
-    @contextmanager
-    def training(self) -> Iterator[None]:
-        """Measure a training."""
-        with self._training_seconds.time():
-            yield
+    def training(self) -> AbstractContextManager[object]:
+        """Measure a training, for as long as the context is open."""
+        return self._training_seconds.time()
 
     def request(self, method: str, route: str, status: int, seconds: float) -> None:
         """Count an answer."""
@@ -85,11 +86,8 @@ class CountRequests:
         async def counted(message: Message) -> None:
             if message["type"] == "http.response.start":
                 route = getattr(scope.get("route"), "path", "none")
-                known = scope["method"] if scope["method"] in METHODS else "other"
-                self.metrics.request(known, route, message["status"], self.clock() - start)
+                method = scope["method"] if scope["method"] in METHODS else "other"
+                self.metrics.request(method, route, message["status"], self.clock() - start)
             await send(message)
 
         await self.app(scope, receive, counted)
-
-
-METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "PATCH"})

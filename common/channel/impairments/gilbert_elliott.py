@@ -17,6 +17,9 @@ from common.surface import BoolArray, FloatArray
 BLOCK = 4096
 """Steps of the chain drawn at once."""
 
+START = 2**32
+"""A block that no packet is in: its first number draws the state the chain starts from."""
+
 
 class GilbertElliott(Impairment):
     """A link that is good or bad: a Markov chain with one step a datagram, and a chance of loss in each state.
@@ -108,7 +111,3 @@ class GilbertElliott(Impairment):
             steps += BLOCK
         start = bool(uniforms(START)[0] < self._stationary)
         return start ^ (flips and steps % 2 == 1)
-
-
-START = 2**32
-"""A block that no packet is in: its first number draws the state the chain starts from."""
