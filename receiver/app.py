@@ -8,8 +8,6 @@ from contextlib import asynccontextmanager
 from functools import partial
 from hashlib import sha256
 from http import HTTPStatus
-from importlib.metadata import PackageNotFoundError
-from importlib.metadata import version as version_of
 from importlib.resources import files
 from itertools import chain
 from typing import Annotated, Any, TypeVar
@@ -28,6 +26,7 @@ from common.network.model import NetworkSettings, SurfaceModel
 from common.problems import MEDIA_TYPE as PROBLEM_TYPE
 from common.problems import Problem
 from common.surface import FloatArray
+from common.version import product_version
 from common.wire import MEDIA_TYPES
 from receiver import grids, schemas
 from receiver.formats import GRID_FORMATS, TABLE_FORMATS, Format, Table, choose
@@ -459,13 +458,6 @@ def _read_page(name: str) -> tuple[str, str]:
     )
 
 
-def _version() -> str:
-    try:
-        return version_of("surfacelink")
-    except PackageNotFoundError:
-        return "0"
-
-
 def create_app(settings: Settings | None = None, *, train: Train = SurfaceModel.train) -> FastAPI:
     """A receiver.
 
@@ -500,7 +492,7 @@ def create_app(settings: Settings | None = None, *, train: Train = SurfaceModel.
 
     app = FastAPI(
         title="surfacelink receiver",
-        version=_version(),
+        version=product_version(),
         description=DESCRIPTION,
         lifespan=lifespan,
         docs_url=None,

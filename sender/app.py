@@ -28,6 +28,7 @@ from common.problems import (
     problem_of_fields,
     problem_of_status,
 )
+from common.version import product_version
 from sender.client import ReceiverClient
 from sender.readers import parse_points
 from sender.settings import Settings
@@ -307,7 +308,7 @@ def create_app(settings: Settings | None = None, connect: Connect = ReceiverClie
     app = SenderAPI(
         title="surfacelink sender",
         description="Keeps the feature points of a surface and sends them to the receiver.",
-        version="1",
+        version=product_version(),
         lifespan=lifespan,
     )
     app.state.settings = settings

@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, version
 from typing import Protocol
 
 import numpy as np
@@ -21,6 +20,7 @@ from common.channel import Channel
 from common.errors import ConflictError, LimitError, NotReadyError, ParameterError, SurfacelinkError
 from common.metrics import max_error, nrmse, rmse
 from common.surface import FeatureSet, FloatArray, HeightGrid, Region, as_points
+from common.version import product_version
 from common.wire import PacketDecoder, Reassembly, WireOptions, encode
 from sender.features import linear_heights, merge_repeated
 from sender.readers import read_points
@@ -168,14 +168,6 @@ def _number(*parts: object) -> int:
 
 def _generator(*parts: object) -> np.random.Generator:
     return np.random.default_rng(_number(*parts))
-
-
-def product_version() -> str:
-    """Version of the installed distribution, or "source" for a checkout that is not installed."""
-    try:
-        return version("surfacelink")
-    except PackageNotFoundError:
-        return "source"
 
 
 def run_trial(trial: Trial, *, transport: Transport = direct, clock: Callable[[], float] = time.perf_counter) -> Result:

@@ -12,6 +12,7 @@ import httpx
 import numpy as np
 import pytest
 
+from common.version import product_version
 from common.wire import PacketDecoder
 from sender.app import create_app
 from sender.client import ReceiverClient, RetryPolicy
@@ -234,3 +235,4 @@ def test_the_api_describes_both_kinds_of_body() -> None:
     body = schema["paths"]["/v1/transmissions"]["post"]["requestBody"]["content"]
     assert set(body) == {"application/json", "multipart/form-data"}
     assert "Order" in schema["components"]["schemas"]
+    assert schema["info"]["version"] == product_version()
