@@ -21,9 +21,10 @@ from common.channel import Channel
 from common.errors import SurfacelinkError
 from common.listening import listen, url_of
 from sender.surfaces import find_surface
-from simulator.demo import DEMO_SURFACES, Trial, run_demo, steps, write_pictures
+from simulator.demo import DEMO_SURFACES, Trial, run_demo, steps
 from simulator.folder import make_folder
 from simulator.paper import paper_command
+from simulator.pictures import write_pictures
 from simulator.proxy import create_proxy
 from simulator.rivals import rivals_command
 from simulator.services import Services, running

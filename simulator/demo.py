@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import anyio
 import httpx
@@ -147,16 +146,3 @@ async def _ask_to_send(sender: httpx.AsyncClient, order: dict[str, str | int]) -
     if record["state"] != "sent":
         raise LinkError(f"the sender failed: {record['error']['detail']}")
     return int(record["bytes"])
-
-
-def write_pictures(trials: list[Trial], folder: Path) -> list[Path]:
-    """One picture a surface, as PNG; the paths."""
-    from simulator.pictures import trial_picture
-
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = []
-    for trial in trials:
-        path = folder / f"{trial.surface.name}.png"
-        trial_picture(trial).savefig(path, dpi=140)
-        paths.append(path)
-    return paths

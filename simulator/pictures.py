@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 from matplotlib import colormaps
@@ -14,9 +15,7 @@ from matplotlib.ticker import MaxNLocator
 
 from common.metrics import nrmse
 from common.surface import FloatArray, HeightGrid
-
-if TYPE_CHECKING:
-    from simulator.demo import Trial
+from simulator.demo import Trial
 
 HEIGHTS = "viridis"
 ERRORS = "RdBu_r"
@@ -112,6 +111,15 @@ def trial_picture(trial: Trial) -> Figure:
         color="#555555",
     )
     return figure
+
+
+def write_pictures(trials: Iterable[Trial], folder: Path) -> list[Path]:
+    """One picture a surface, as PNG, into a folder that is there; the paths."""
+    paths = []
+    for trial in trials:
+        paths.append(folder / f"{trial.surface.name}.png")
+        trial_picture(trial).savefig(paths[-1], dpi=140)
+    return paths
 
 
 def _few(trial: Trial) -> bool:
