@@ -9,7 +9,6 @@ import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from importlib.util import find_spec
 from typing import Any, Generic, TypeVar
 
 import msgpack
@@ -17,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from common.errors import NotAcceptableError
+from common.extras import is_installed
 from common.surface import FloatArray, HeightGrid, Units
 from common.wire import MEDIA_TYPE, MEDIA_TYPES
 from receiver.picture import Style, picture
@@ -70,22 +70,22 @@ class Format(Generic[Content]):
         Yields the bytes of some content.
     also : tuple of str
         Other media types that mean it in Accept.
-    needs, extra : str or None
+    needs, extra : str
         The module that it needs beyond the project's own dependencies, and the extra of the distribution that brings
-        it; None where it needs none.
+        it; "" for none.
     """
 
     name: str
     media_type: str
     render: Callable[[Content], Iterator[bytes]]
     also: tuple[str, ...] = ()
-    needs: str | None = None
-    extra: str | None = None
+    needs: str = ""
+    extra: str = ""
 
     @property
     def available(self) -> bool:
         """Whether what it needs is installed."""
-        return self.needs is None or find_spec(self.needs) is not None
+        return is_installed(self.needs)
 
 
 def little_endian(values: npt.NDArray[Any]) -> bytes:

@@ -11,7 +11,6 @@ import sys
 from collections.abc import Callable, Mapping
 from functools import cache, partial
 from importlib.metadata import version
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,6 +21,7 @@ from rich.console import Console
 import common
 import sender
 import simulator
+from common.extras import is_installed
 from sender.surfaces import names_file
 from simulator import report
 from simulator.campaign import Campaign
@@ -75,7 +75,7 @@ def run_campaign(
     seconds = [value for result in results for value in result.seconds]
     (out / "table.csv").write_text(to_csv(rows), "utf-8")
     (out / "cells.csv").write_text(report.cells_csv(rows), "utf-8")
-    if find_spec("pyarrow") is not None:
+    if is_installed("pyarrow"):
         write_parquet(rows, out / "table.parquet")
     (out / "seconds.csv").write_text(
         "".join(["seconds\n", *("\n" if value is None else f"{value:.6f}\n" for value in seconds)]), "utf-8"

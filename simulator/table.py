@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from common.errors import MissingExtraError
+from common.extras import require
 from simulator.runner import Row
 
 COLUMNS: Mapping[str, type[str] | type[int] | type[float]] = MappingProxyType(
@@ -61,11 +61,10 @@ def to_csv(rows: Iterable[Row]) -> str:
 
 def write_parquet(rows: Iterable[Row], path: Path) -> None:
     """The rows as Parquet; raises MissingExtraError where pyarrow (the extra ``parquet``) is not installed."""
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError as error:
-        raise MissingExtraError("Parquet needs pyarrow: pip install 'surfacelink[parquet]'") from error
+    require("Parquet", "pyarrow", "parquet")
+    import pyarrow
+    import pyarrow.parquet
+
     kinds = {str: pyarrow.string(), int: pyarrow.int64(), float: pyarrow.float64()}
     schema = pyarrow.schema([(name, kinds[kind]) for name, kind in COLUMNS.items()])
     pyarrow.parquet.write_table(pyarrow.Table.from_pylist([dict(row) for row in rows], schema), path)

@@ -15,7 +15,6 @@ done is said here once:
 
 from __future__ import annotations
 
-import importlib.util
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -26,7 +25,8 @@ from typing import Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from common.errors import MissingExtraError, NotFoundError, PointsError, TrainingError
+from common.errors import NotFoundError, PointsError, TrainingError
+from common.extras import is_installed, require
 from common.network import NetworkWarning, RBFNetwork
 from common.surface import FloatArray, as_points, finite_array
 from simulator.baselines import interpolation, local, networks, statistical
@@ -69,17 +69,13 @@ class Baseline:
     @property
     def available(self) -> bool:
         """Whether what it needs is installed."""
-        return not self.package or importlib.util.find_spec(self.package) is not None
+        return is_installed(self.package)
 
     def reconstruct(
         self, points: npt.ArrayLike, x: npt.ArrayLike, y: npt.ArrayLike, rng: np.random.Generator
     ) -> FloatArray:
         """Heights at the nodes of a grid; see `simulator.baselines.reconstruct`."""
-        if not self.available:
-            raise MissingExtraError(
-                f"baseline {self.name} needs the package {self.package}; install it with: pip install "
-                "'surfacelink[baselines]'"
-            )
+        require(f"baseline {self.name}", self.package, "baselines")
         cloud, axis_x, axis_y = as_points(points), finite_array(x, "x"), finite_array(y, "y")
         if axis_x.ndim != 1 or axis_y.ndim != 1 or not axis_x.size or not axis_y.size:
             raise PointsError(f"x and y must be one-dimensional and not empty, got {axis_x.shape} and {axis_y.shape}")

@@ -9,7 +9,6 @@ All of them presuppose a raster. Decoders of damaged bytes belong into a `Sandbo
 
 from __future__ import annotations
 
-import importlib.util
 from bisect import bisect_left
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -18,7 +17,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from common.errors import MissingExtraError, NotFoundError, ParameterError, PointsError
+from common.errors import NotFoundError, ParameterError, PointsError
+from common.extras import is_installed, require
 from common.metrics import nrmse
 from common.surface import BoolArray, FloatArray
 from simulator.codecs import raster, samples
@@ -70,7 +70,7 @@ class Codec:
     @property
     def available(self) -> bool:
         """Whether what it needs is installed."""
-        return not self.package or importlib.util.find_spec(self.package) is not None
+        return is_installed(self.package)
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,10 +191,7 @@ def find_codec(name: str) -> Codec:
     if name not in CODECS:
         raise NotFoundError(f"no codec is called {name!r}; there are {', '.join(CODECS)}")
     codec = CODECS[name]
-    if not codec.available:
-        raise MissingExtraError(
-            f"codec {name} needs the package {codec.package}; install it with: pip install 'surfacelink[codecs]'"
-        )
+    require(f"codec {name}", codec.package, "codecs")
     return codec
 
 

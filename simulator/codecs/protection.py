@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from common.errors import MissingExtraError, NotFoundError
+from common.errors import NotFoundError
+from common.extras import require
 from common.surface import BoolArray
 
 LENGTH = 255
@@ -27,12 +28,9 @@ LENGTH = 255
 
 @cache
 def _codec(parity: int) -> Any:
-    try:
-        from reedsolo import RSCodec
-    except ModuleNotFoundError as error:
-        raise MissingExtraError(
-            "Reed-Solomon codes need the package reedsolo; install it with: pip install 'surfacelink[codecs]'"
-        ) from error
+    require(f"a Reed-Solomon code ({LENGTH}, {LENGTH - parity})", "reedsolo", "codecs")
+    from reedsolo import RSCodec
+
     return RSCodec(parity, nsize=LENGTH)
 
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import io
 import json
+import sys
 
 import msgpack
 import numpy as np
@@ -10,7 +11,6 @@ import tifffile
 
 from common.errors import NotAcceptableError
 from common.surface import HeightGrid, Units
-from receiver import formats
 from receiver.formats import GRID_FORMATS, PART, TABLE_FORMATS, GridAnswer, Table, choose
 
 
@@ -64,7 +64,7 @@ def test_f_goes_before_accept() -> None:
 
 
 def test_an_extra_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(formats, "find_spec", lambda _name: None)
+    monkeypatch.setitem(sys.modules, "tifffile", None)
     with pytest.raises(NotAcceptableError, match=r"pip install 'surfacelink\[tif\]'"):
         choose(GRID_FORMATS, "tif", None)
     # Who takes any picture is not bothered with it.
