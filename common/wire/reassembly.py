@@ -64,14 +64,13 @@ class Reassembly:
         sequence = packet.sequence
         store = self._arrived if sequence < packet.header.total else self._parity
         known = store.get(sequence)
-        if known is None or _rank(packet) < _rank(known):
-            points = self._points + len(packet.points) - (len(known.points) if known else 0)
-            if points > MAX_POINTS:
-                raise LimitError(f"more than {MAX_POINTS} points in one transmission")
         if known is not None:
             _require_same_points(known, packet)
             if _rank(known) <= _rank(packet):
                 return "duplicate"
+        points = self._points + len(packet.points) - (len(known.points) if known else 0)
+        if points > MAX_POINTS:
+            raise LimitError(f"more than {MAX_POINTS} points in one transmission")
         self._points = points
         store[sequence] = packet
         if packet.header.parity:
