@@ -7,8 +7,8 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 
 import numpy as np
-import numpy.typing as npt
 
+from common.surface import BoolArray
 from common.wire import inner
 from common.wire.inner import Shape
 from common.wire.limits import DEFAULT_DATAGRAM, MAX_CORRECTION_WORK
@@ -76,9 +76,7 @@ class Gaps:
             self._leftovers += np.diff(edges)[::2].tolist()
         self._runs = [bytearray()]
 
-    def _correct_run(
-        self, run: bytearray, shape: Shape, taken: npt.NDArray[np.bool_], accept: Callable[[bytes], bool]
-    ) -> None:
+    def _correct_run(self, run: bytearray, shape: Shape, taken: BoolArray, accept: Callable[[bytes], bool]) -> None:
         size = shape.size
         cost = inner.correction_work(shape)
         starts = [s for s in _starts(run, shape) if not taken[s : s + size].any()]

@@ -7,11 +7,14 @@ most Reed-Solomon libraries. Addition is exclusive or.
 from __future__ import annotations
 
 from functools import cache
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-ByteArray = npt.NDArray[np.uint8]
+from common.surface import IntArray
+
+ByteArray: TypeAlias = npt.NDArray[np.uint8]
 
 POLYNOMIAL = 0x11D
 ORDER = 255
@@ -33,7 +36,7 @@ def powers() -> ByteArray:
 
 
 @cache
-def logarithms() -> npt.NDArray[np.int64]:
+def logarithms() -> IntArray:
     """The inverse of `powers`; the entry of 0 is meaningless."""
     table = np.zeros(256, dtype=np.int64)
     table[powers()[:ORDER]] = np.arange(ORDER)

@@ -14,12 +14,12 @@ import numpy.typing as npt
 
 from common.errors import PacketError
 from common.surface import FloatArray
+from common.wire.gf256 import ByteArray
 from common.wire.header import Form, Grid, Header
 
 _FLOATS: dict[Form, np.dtype[np.floating]] = {Form.FLOAT64: np.dtype("<f8"), Form.FLOAT32: np.dtype("<f4")}
 
 UintArray = npt.NDArray[np.uint64]
-ByteArray = npt.NDArray[np.uint8]
 
 
 def point_bits(header: Header) -> int:

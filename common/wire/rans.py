@@ -13,9 +13,8 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
-from common.surface import BoolArray, IntArray
+from common.surface import BoolArray, FloatArray, IntArray
 
 PRECISION = 12
 """Bits of a probability."""
@@ -42,9 +41,9 @@ class Tables(NamedTuple):
     starts: IntArray
     symbols: IntArray
 
-    def bits(self) -> npt.NDArray[np.float64]:
+    def bits(self) -> FloatArray:
         """Bits that each symbol costs, shape (tables, symbols)."""
-        cost: npt.NDArray[np.float64] = PRECISION - np.log2(self.frequencies)
+        cost: FloatArray = PRECISION - np.log2(self.frequencies)
         return cost
 
 

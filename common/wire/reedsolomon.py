@@ -10,8 +10,8 @@ from __future__ import annotations
 from functools import cache, lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
+from common.surface import BoolArray, IntArray
 from common.wire.gf256 import ORDER, ByteArray, inverse, multiply, powers
 
 MAX_WORD = 255
@@ -45,7 +45,7 @@ def encode(data: ByteArray, parity: int) -> ByteArray:
     return remainder
 
 
-def correct(words: ByteArray, parity: int) -> tuple[ByteArray, npt.NDArray[np.bool_]]:
+def correct(words: ByteArray, parity: int) -> tuple[ByteArray, BoolArray]:
     """Corrected copies of (words, n) code words, and which of them are code words now.
 
     A word with more than parity / 2 wrong bytes is left as it is, or (rarely) becomes another code word: only a
@@ -58,7 +58,7 @@ def correct(words: ByteArray, parity: int) -> tuple[ByteArray, npt.NDArray[np.bo
     return out, good
 
 
-def _correct(words: ByteArray, parity: int) -> tuple[ByteArray, npt.NDArray[np.bool_]]:
+def _correct(words: ByteArray, parity: int) -> tuple[ByteArray, BoolArray]:
     syndromes = _syndromes(words, parity)
     locator, degree = _berlekamp_massey(syndromes)
     n = words.shape[1]
@@ -102,7 +102,7 @@ def _powers_of_points(terms: int, exponents: range) -> ByteArray:
     return table
 
 
-def _berlekamp_massey(syndromes: ByteArray) -> tuple[ByteArray, npt.NDArray[np.int64]]:
+def _berlekamp_massey(syndromes: ByteArray) -> tuple[ByteArray, IntArray]:
     """The shortest error locator of each word, lowest power first, and its degree (Massey 1969)."""
     words, parity = syndromes.shape
     locator = np.zeros((words, parity + 1), dtype=np.uint8)

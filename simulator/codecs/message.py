@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from common.errors import PacketError
-from common.surface import FloatArray
+from common.surface import FloatArray, IntArray
 
 Setting: TypeAlias = tuple[float, ...]
 """What a codec is told of how finely to write: its own numbers."""
@@ -82,13 +82,13 @@ def inflate(data: bytes, length: int) -> bytes:
     return bytes(out[:length]).ljust(length, b"\0")
 
 
-def pack_bits(values: npt.NDArray[np.int64], bits: int) -> bytes:
+def pack_bits(values: IntArray, bits: int) -> bytes:
     """Non-negative integers below 2**bits, most significant bit first, end to end."""
     planes = (values[:, None] >> np.arange(bits - 1, -1, -1)) & 1
     return np.packbits(planes.astype(np.uint8)).tobytes()
 
 
-def unpack_bits(data: bytes, bits: int, count: int) -> npt.NDArray[np.int64]:
+def unpack_bits(data: bytes, bits: int, count: int) -> IntArray:
     """`count` integers of `bits` bits each; zeros where the data ends early."""
     padded = np.frombuffer(data.ljust(-(-count * bits // 8), b"\0"), dtype=np.uint8)
     planes = np.unpackbits(padded, count=count * bits).reshape(count, bits).astype(np.int64)

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from common.errors import NotFoundError
 from common.extras import require
-from common.surface import BoolArray
+from common.surface import BoolArray, IntArray
 
 LENGTH = 255
 """Bytes of a codeword before shortening."""
@@ -70,7 +70,7 @@ class Protection:
     def _words_of(self, total: int) -> int:
         return -(-total // LENGTH)
 
-    def _codewords(self, total: int) -> list[npt.NDArray[np.int64]]:
+    def _codewords(self, total: int) -> list[IntArray]:
         """Positions of each codeword's bytes among `total`."""
         words = self._words_of(total)
         message = np.arange(total - words * self.parity)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scipy.fft import dctn, idctn
 
 from common.errors import PacketError
-from common.surface import BoolArray, FloatArray
+from common.surface import BoolArray, FloatArray, IntArray
 from simulator.codecs.message import Ladders, Setting, deflate, inflate, read_header, scaled, write_header
 
 FINE = 1.02
@@ -139,7 +139,7 @@ def decode_lerc(data: bytes, lost: BoolArray) -> FloatArray:  # noqa: ARG001
     return header.heights(imagecodecs.lerc_decode(imagecodecs.zstd_decode(stream)))
 
 
-def _frequencies(shape: tuple[int, int]) -> npt.NDArray[np.int64]:
+def _frequencies(shape: tuple[int, int]) -> IntArray:
     """Coefficients by rising frequency."""
     rows, columns = np.indices(shape)
     return np.argsort((rows / shape[0]) ** 2 + (columns / shape[1]) ** 2, axis=None, kind="stable")

@@ -16,7 +16,7 @@ from scipy.sparse.linalg import spsolve
 from scipy.spatial import KDTree
 
 from common.errors import PacketError
-from common.surface import BoolArray, FloatArray
+from common.surface import BoolArray, FloatArray, IntArray
 from simulator.codecs.message import (
     HEADER,
     Header,
@@ -88,7 +88,7 @@ def decode_cloud(data: bytes, lost: BoolArray) -> FloatArray:
     return header.heights(interpolated(points[first], shape))
 
 
-def scattered(n: int) -> npt.NDArray[np.int64]:
+def scattered(n: int) -> IntArray:
     """An order of 0..n-1 that both ends know, in which neighbours are far apart."""
     return np.random.Generator(np.random.PCG64(n)).permutation(n)
 
@@ -121,7 +121,7 @@ def _nodes(shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
     return np.arange(shape[0], dtype=np.float64), np.arange(shape[1], dtype=np.float64)
 
 
-def _samples(z: FloatArray, setting: Setting) -> tuple[npt.NDArray[np.int64], bytes]:
+def _samples(z: FloatArray, setting: Setting) -> tuple[IntArray, bytes]:
     count, bits = (int(v) for v in setting)
     at = _at(z.shape, _sides(z.shape, count))
     heights = np.clip(_resampled(scaled(z), _nodes(z.shape), at), 0, 1)
@@ -170,13 +170,13 @@ def decode_lattice(data: bytes, lost: BoolArray) -> FloatArray:  # noqa: ARG001 
     return lattice.heights(samples / (2**lattice.bits - 1))
 
 
-def _planes(values: npt.NDArray[np.int64]) -> bytes:
+def _planes(values: IntArray) -> bytes:
     """Integers below 2**16: all low bytes, then all high bytes unless they are zero."""
     high = (values >> 8).astype(np.uint8)
     return (values & 255).astype(np.uint8).tobytes() + (high.tobytes() if np.any(high) else b"")
 
 
-def _unplaned(data: bytes, count: int) -> npt.NDArray[np.int64]:
+def _unplaned(data: bytes, count: int) -> IntArray:
     low, high = (np.frombuffer(part, dtype=np.uint8).astype(np.int64) for part in (data[:count], data[count:]))
     return low | high << 8
 
@@ -322,12 +322,12 @@ def decode_mesh(data: bytes, lost: BoolArray) -> FloatArray:  # noqa: ARG001 - a
     return header.heights(interpolated(points, shape))
 
 
-def _gap_bytes(gaps: npt.NDArray[np.int64]) -> bytes:
+def _gap_bytes(gaps: IntArray) -> bytes:
     """Each gap as bytes of 255 and a rest below it."""
     return b"".join(b"\xff" * (gap // 255) + bytes([gap % 255]) for gap in gaps.tolist())
 
 
-def _gaps(data: bytes, count: int) -> tuple[npt.NDArray[np.int64], int]:
+def _gaps(data: bytes, count: int) -> tuple[IntArray, int]:
     """The first `count` gaps, and the bytes they took."""
     values = np.frombuffer(data, dtype=np.uint8).astype(np.int64)
     ends = np.flatnonzero(values != 255)[:count]

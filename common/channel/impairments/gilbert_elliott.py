@@ -6,13 +6,12 @@ from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
 from common.channel.datagram import Datagram
 from common.channel.impairment import Impairment, Probability
 from common.channel.passage import Passage, Purpose
-from common.surface import BoolArray, FloatArray
+from common.surface import BoolArray, FloatArray, IntArray
 
 BLOCK = 4096
 """Steps of the chain drawn at once."""
@@ -63,7 +62,7 @@ class GilbertElliott(Impairment):
             passage.note(datagram)
         return lost
 
-    def _bad(self, numbers: npt.NDArray[np.int64], passage: Passage) -> BoolArray:
+    def _bad(self, numbers: IntArray, passage: Passage) -> BoolArray:
         """Whether the state is bad at each of the `numbers`."""
 
         def uniforms(block: int) -> FloatArray:
