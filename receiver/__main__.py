@@ -57,9 +57,10 @@ class Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
-def _about(name: str) -> Any:
-    """What the command line says of a setting: the settings' own words."""
-    return Settings.model_fields[name].description
+def _about(name: str) -> str:
+    """What the command line says of a setting: the settings' own words, the variable and the default."""
+    setting = Settings.model_fields[name]
+    return f"{setting.description} (RECEIVER_{name.upper()}, {setting.default})"
 
 
 def _fail(message: str) -> typer.Exit:

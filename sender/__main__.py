@@ -43,15 +43,19 @@ console = Console()
 DEFAULTS = Settings.model_construct()
 
 
+def _about(name: str) -> str:
+    """What the command line says of a setting: the settings' own words, the variable and the default."""
+    setting = Settings.model_fields[name]
+    return f"{setting.description} (SENDER_{name.upper()}, {setting.default})"
+
+
 @app.command()
 def serve(
-    host: Annotated[str | None, typer.Option(help="Address to listen on. (SENDER_HOST, 127.0.0.1)")] = None,
-    port: Annotated[int | None, typer.Option(help="Port to listen on; 0 takes a free one. (SENDER_PORT, 8000)")] = None,
-    receiver: Annotated[
-        str | None, typer.Option(help="URL of the receiver. (SENDER_RECEIVER, http://127.0.0.1:8001)")
-    ] = None,
+    host: Annotated[str | None, typer.Option(help=_about("host"))] = None,
+    port: Annotated[int | None, typer.Option(help=_about("port"))] = None,
+    receiver: Annotated[str | None, typer.Option(help=_about("receiver"))] = None,
 ) -> None:
-    """Run the service."""
+    """Run the service. What is not given here is read from SENDER_... in the environment."""
     given: dict[str, Any] = {"host": host, "port": port, "receiver": receiver}
     try:
         settings = Settings(**{name: value for name, value in given.items() if value is not None})
@@ -103,9 +107,14 @@ def send(
 ) -> None:
     """Send a surface, or a file of points, to a receiver."""
     harm = Channel.parse(channel, seed=channel_seed)
-    wire: dict[str, Any] = {"datagram": datagram, "coding": coding, "parity": parity, "copies": copies}
-    wire["inner"] = inner
-    wire["precision"] = int(precision) if precision.isdecimal() else precision
+    wire = {
+        "datagram": datagram,
+        "precision": int(precision) if precision.isdecimal() else precision,
+        "coding": coding,
+        "parity": parity,
+        "copies": copies,
+        "inner": inner,
+    }
     path = Path(what)
     is_file = names_file(what)
     order = _order(
