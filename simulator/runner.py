@@ -47,9 +47,9 @@ class Result:
 
 
 class WorkerError(SurfacelinkError):
-    """A worker process died."""
+    """A worker process died, or did not start."""
 
-    title = "A worker died"
+    title = "A worker failed"
 
 
 class Keyed(Protocol):

@@ -20,6 +20,7 @@ from types import TracebackType
 from typing import Any, Literal, Self, TypeAlias
 
 from common.errors import ParameterError
+from simulator.runner import WorkerError
 
 SECONDS = 10.0
 """Default for the longest call: a thousand times what an intact stream takes."""
@@ -65,6 +66,8 @@ class Sandbox:
     ------
     ParameterError
         If a parameter is not positive.
+    WorkerError
+        If a child does not start, from `run` and `map`.
     """
 
     def __init__(self, *, workers: int = 1, seconds: float = SECONDS, memory: int = MEMORY) -> None:
@@ -114,8 +117,13 @@ class Sandbox:
             process.start()
             theirs.close()
             self._children.append(_Child(process, ours))
-            if not ours.poll(STARTUP) or ours.recv() != "ready":
-                raise ChildProcessError("a child process did not start")
+            with contextlib.suppress(EOFError, OSError):
+                if ours.poll(STARTUP) and ours.recv() == "ready":
+                    continue
+            raise WorkerError(
+                "a child process did not start; does a script that starts some do its work below "
+                "if __name__ == '__main__':?"
+            )
 
     def _give(
         self,

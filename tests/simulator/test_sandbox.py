@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import time
-
 import pytest
 
 from common.errors import ParameterError
 from simulator.codecs.sandbox import Failure, Sandbox
-from tests.simulator.decoders import answer, misbehave
+from simulator.runner import WorkerError
+from tests.simulator.decoders import answer, leave, misbehave
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -23,12 +22,10 @@ def test_every_way_to_fail_is_counted_and_the_others_answer(workers: int) -> Non
     assert "status 3" in results[5].detail
 
 
-def test_a_hung_call_takes_its_time_and_no_more() -> None:
-    with Sandbox(seconds=0.5) as box:
-        box.run(answer, 0)  # the start of the child is not counted
-        start = time.monotonic()
-        assert box.run(misbehave, "hang").kind == "timeout"
-        assert 0.4 < time.monotonic() - start < 30
+def test_a_child_that_does_not_start_is_our_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("simulator.codecs.sandbox._serve", leave)
+    with Sandbox() as box, pytest.raises(WorkerError, match="did not start"):
+        box.run(answer, 1)
 
 
 def test_children_serve_many_calls_and_are_gone_afterwards() -> None:
