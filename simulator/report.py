@@ -57,36 +57,31 @@ class AxisLook:
     """How an axis of channel levels is drawn."""
 
     label: str
-    logarithmic: bool
-    percent: bool
     sentence: str
+    logarithmic: bool = False
+    percent: bool = False
 
 
 AXES: Mapping[str, AxisLook] = MappingProxyType(
     {
         "noise": AxisLook(
             "noise in z, deviation over the range of z",
-            False,
-            True,
             "Distortion against Gaussian noise in the heights of the features that arrive.",
+            percent=True,
         ),
         "noise in x, y and z": AxisLook(
             "noise in x, y and z, over the range of each",
-            False,
-            True,
             "Distortion against Gaussian noise in all three coordinates of the features that arrive, as in the paper.",
+            percent=True,
         ),
-        "loss": AxisLook("packets lost", False, True, "Distortion against the share of packets that never arrive."),
+        "loss": AxisLook("packets lost", "Distortion against the share of packets that never arrive.", percent=True),
         "ber": AxisLook(
             "bit-error rate",
-            True,
-            False,
             "Distortion against the share of bits that arrive wrong; what a checksum finds damaged is thrown away.",
+            logarithmic=True,
         ),
         "ebn0_db": AxisLook(
             "Eb/N0 (dB)",
-            False,
-            False,
             "Distortion against the energy of a bit over the noise density; a poorer link is further to the left.",
         ),
     }
@@ -95,7 +90,7 @@ AXES: Mapping[str, AxisLook] = MappingProxyType(
 
 def look_of(axis: str) -> AxisLook:
     """How to draw an axis; one that is not known is drawn plainly."""
-    return AXES.get(axis, AxisLook(axis, False, False, f"Distortion against {axis}."))
+    return AXES.get(axis, AxisLook(axis, f"Distortion against {axis}."))
 
 
 class Lines:
@@ -563,7 +558,7 @@ def _bytes_html(rows: Sequence[Row]) -> list[str]:
     if not any(points[-1][0] > SIZES * points[0][0] for of in sized.values() for points in of.values()):
         return []
     sentence = "Distortion against the bytes sent, all overhead counted, on a clean channel."
-    look = AxisLook("bytes on the air", True, False, sentence)
+    look = AxisLook("bytes on the air", sentence, logarithmic=True)
     lines = list(dict.fromkeys(line for of in sized.values() for line in of))
     best = {line: min(spread.median for of in sized.values() for _, spread in of.get(line, [])) for line in lines}
     chosen = sorted(lines, key=lambda line: (not line.startswith(NETWORK), best[line]))[:MAX_LINES]

@@ -132,7 +132,15 @@ def _source(choice: SurfaceChoice) -> Source:
     if choice.file is None:
         surface = find_surface(str(choice.name))
         nodes = surface.points if isinstance(surface, GriddedSurface) else None
-        return Source(surface.region, surface.noise, surface.points, surface.gap, nodes, surface.grid, surface.sample)
+        return Source(
+            region=surface.region,
+            noise=surface.noise,
+            points=surface.points,
+            gap=surface.gap,
+            nodes=nodes,
+            truth=surface.grid,
+            sample=surface.sample,
+        )
     cloud = merge_repeated(read_points(choice.file, choice.columns), "mean")
     region = Region.of(cloud)
 
@@ -146,15 +154,29 @@ def _source(choice: SurfaceChoice) -> Source:
             raise ParameterError(f"{choice.label} holds {len(cloud)} points; {n} were asked for")
         return as_points(cloud[rng.permutation(len(cloud))[:n]])
 
-    return Source(region, FILE_NOISE * float(np.ptp(cloud[:, 2])), len(cloud), None, len(cloud), truth, sample)
+    return Source(
+        region=region,
+        noise=FILE_NOISE * float(np.ptp(cloud[:, 2])),
+        points=len(cloud),
+        gap=None,
+        nodes=len(cloud),
+        truth=truth,
+        sample=sample,
+    )
 
 
 def _field_source(name: str) -> Source:
     """A field on which raster codecs are measured; its nodes are the cloud."""
-    nodes = field(name)
-    cloud = nodes.points()
-    surface = GriddedSurface(name, name, lambda: nodes, pieces=1)
-    return Source(surface.region, surface.noise, len(cloud), None, len(cloud), surface.grid, surface.sample)
+    surface = GriddedSurface(name, name, lambda: field(name), pieces=1)
+    return Source(
+        region=surface.region,
+        noise=surface.noise,
+        points=surface.points,
+        gap=None,
+        nodes=surface.points,
+        truth=surface.grid,
+        sample=surface.sample,
+    )
 
 
 @lru_cache(maxsize=64)
