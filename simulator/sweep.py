@@ -25,6 +25,7 @@ from common.extras import is_installed
 from sender.surfaces import names_file
 from simulator import report
 from simulator.campaign import Campaign
+from simulator.folder import make_folder
 from simulator.progress import progress_bar
 from simulator.runner import Journal, Progress, Result, Row, Run, silent
 from simulator.table import to_csv, write_parquet
@@ -139,7 +140,7 @@ DEFAULT_PLAN: Mapping[str, Any] = {
 def sweep_command(
     campaign: Annotated[Path | None, typer.Argument(help="TOML file; options below go before what it says.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder of journal, table and report; by default the name.")] = None,
-    workers: Annotated[int | None, typer.Option(help="Processes; by default one a core.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; by default one a core.")] = None,
     surface: Annotated[list[str] | None, typer.Option(help="Name of a surface, or a file; may be repeated.")] = None,
     channel: Annotated[list[str] | None, typer.Option(help="A channel in short form; may be repeated.")] = None,
     method: Annotated[list[str] | None, typer.Option(help="A reconstruction; may be repeated.")] = None,
@@ -174,6 +175,7 @@ def sweep_command(
     else:
         plan = Campaign.load(campaign, overrides)
     folder = out or Path(plan.name)
+    make_folder(folder)
     console = Console(stderr=True)
     if fresh:
         (folder / "journal.jsonl").unlink(missing_ok=True)

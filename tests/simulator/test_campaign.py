@@ -17,7 +17,7 @@ from sender.features import extract_features
 from simulator.campaign import Campaign, FeatureSettings, Trial
 from simulator.choice import choose_features
 from simulator.runner import Cell, Run
-from simulator.sweep import code_digest, plan_of_options, run_campaign
+from simulator.sweep import code_digest, plan_of_options, run_campaign, sweep_command
 from simulator.table import COLUMNS, to_csv, write_parquet
 from simulator.trial import run_trial
 
@@ -349,6 +349,12 @@ def test_options_go_before_the_file(tmp_path: Path) -> None:
     assert plan.surfaces[0].name == "surface-1"
     assert plan.features[0].gap == 0.5
     assert plan.channels[0].spec == "clean"
+
+
+def test_a_folder_that_cannot_be_made_is_our_error(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(ParameterError, match="cannot write to"):
+        sweep_command(out=tmp_path / "file" / "out", fresh=True)
 
 
 def test_the_table_reads_back_to_the_bit() -> None:
