@@ -34,11 +34,6 @@ Running: TypeAlias = Callable[..., AbstractAsyncContextManager[Client]]
 
 
 @pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
-
-
-@pytest.fixture
 def running(tmp_path: Path) -> Running:
     """Starts a receiver on this test's data folder; options are those of the settings, and `train`."""
 

@@ -6,7 +6,6 @@ from collections.abc import AsyncIterator
 
 import anyio
 import httpx
-import numpy as np
 import pytest
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
@@ -16,17 +15,9 @@ from starlette.routing import Route
 from starlette.types import Message, Receive, Scope, Send
 
 from common.channel import Channel
-from common.surface import FeatureSet, Region
-from common.wire import encode
 from receiver.middleware import ChannelMiddleware
 
 LIMIT = 100_000
-
-
-@pytest.fixture(scope="module")
-def packets() -> list[bytes]:
-    points = np.random.default_rng(2).uniform(-1, 1, (400, 3))
-    return encode(FeatureSet(points, Region(-1, 1, -1, 1)), transmission="hills")
 
 
 class Slept:
@@ -254,8 +245,3 @@ async def test_a_mounted_application_knows_its_own_path(packets: list[bytes]) ->
     async with httpx.AsyncClient(transport=transport, base_url="http://test") as client:
         answer = await client.post("/link/v1/transmissions/hills", content=b"".join(packets))
     assert answer.content == b""
-
-
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"

@@ -3,27 +3,13 @@
 from __future__ import annotations
 
 import httpx
-import numpy as np
 import pytest
 
 from common.channel import Channel
 from common.errors import ParameterError
-from common.surface import FeatureSet, Region
-from common.wire import encode
 from sender.transport import ChannelTransport
 
 URL = "http://receiver/v1/transmissions/hills"
-
-
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
-
-
-@pytest.fixture(scope="module")
-def packets() -> list[bytes]:
-    points = np.random.default_rng(2).uniform(-1, 1, (400, 3))
-    return encode(FeatureSet(points, Region(-1, 1, -1, 1)), transmission="hills")
 
 
 class Recorder:

@@ -8,7 +8,6 @@ from contextlib import asynccontextmanager
 
 import anyio
 import httpx
-import numpy as np
 import pytest
 from starlette.applications import Starlette
 from starlette.requests import Request
@@ -17,23 +16,10 @@ from starlette.routing import Route
 
 from common.channel import Channel
 from common.errors import ParameterError
-from common.surface import FeatureSet, Region
-from common.wire import encode
 from simulator.__main__ import main
 from simulator.proxy import MAX_CHANNEL_BYTES, create_proxy
 
 SPEC = "gaussian:std=0.1;erasure:p=0.3"
-
-
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
-
-
-@pytest.fixture(scope="module")
-def packets() -> list[bytes]:
-    points = np.random.default_rng(2).uniform(-1, 1, (400, 3))
-    return encode(FeatureSet(points, Region(-1, 1, -1, 1)), transmission="hills")
 
 
 async def echo(request: Request) -> Response:
