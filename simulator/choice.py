@@ -9,7 +9,7 @@ import numpy as np
 from common.errors import ParameterError
 from common.surface import FeatureSet, FloatArray, Region
 from common.wire import WireOptions, encode
-from sender.features import extract_features, lattice, linear_heights, merge_repeated, suitable_gap
+from sender.features import Extracted, extract_features, lattice, linear_heights, merge_repeated, suitable_gap
 from simulator.campaign import FeatureSettings
 
 
@@ -34,20 +34,20 @@ def choose_features(
         If nothing fits into the budget.
     """
     longer = max(region.width, region.height)
-
-    if settings.kind == "lattice":
-        # Triangulated once; a budget tries several lattices.
-        points = merge_repeated(cloud)
-        heights = linear_heights(points, region)
-
-    def extract(gap: float | None) -> FeatureSet:
-        if settings.kind == "lattice":
-            return lattice(heights, gap or suitable_gap(points, region), region)
-        return extract_features(cloud, gap=gap, kind=settings.kind, region=region)
-
+    extract = _extraction(cloud, region, settings.kind)
     if settings.budget is not None:
         return _finest(lambda pieces: extract(longer / pieces), len(cloud), settings.budget, wire)
     return extract(longer / settings.pieces if settings.pieces is not None else settings.gap or usual_gap)
+
+
+def _extraction(cloud: FloatArray, region: Region, kind: Extracted) -> Callable[[float | None], FeatureSet]:
+    """What gives the features of a cloud for a gap, or for a `suitable_gap`."""
+    if kind != "lattice":
+        return lambda gap: extract_features(cloud, gap=gap, kind=kind, region=region)
+    # Triangulated once; a budget tries several lattices.
+    points = merge_repeated(cloud)
+    heights = linear_heights(points, region)
+    return lambda gap: lattice(heights, gap or suitable_gap(points, region), region)
 
 
 def _finest(extract: Callable[[int], FeatureSet], points: int, budget: int, wire: WireOptions) -> FeatureSet:
