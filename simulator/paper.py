@@ -34,7 +34,7 @@ from simulator.methods import parse_method
 from simulator.page import STYLE, TableCell, data_script, page, png, table
 from simulator.progress import progress_bar
 from simulator.runner import Progress, Result, Row, Run, silent
-from simulator.statistics import Spread, group, text
+from simulator.statistics import Quartiles, group, text
 from simulator.trial import direct, run_trial
 
 OURS = "network"
@@ -232,10 +232,10 @@ def trials(seeds: int, grid: tuple[int, int], readings: Sequence[str]) -> list[T
 
 @dataclass(frozen=True)
 class Errors:
-    """Spread over seeds of the relative RMSE and of the greatest error (in units of z)."""
+    """Medians and quartiles over the seeds: of the NRMSE, and of the greatest error in units of z."""
 
-    nrmse: Spread
-    greatest: Spread
+    nrmse: Quartiles
+    greatest: Quartiles
 
 
 Key: TypeAlias = tuple[str, str, str]
@@ -246,7 +246,7 @@ def summarise(rows: Sequence[Row]) -> dict[Key, Errors]:
     """The errors of every (surface, noise, method)."""
     cells = group(rows, lambda row: (text(row, "surface"), text(row, "axis"), text(row, "method")))
     return {
-        key: Errors(Spread.of([row["nrmse"] for row in of]), Spread.of([row["max_error"] for row in of]))
+        key: Errors(Quartiles.of([row["nrmse"] for row in of]), Quartiles.of([row["max_error"] for row in of]))
         for key, of in cells.items()
     }
 
@@ -405,7 +405,7 @@ def _errors_html(errors: Mapping[Key, Errors], surface: Surface, seeds: int) -> 
             return TableCell("·")
         found = errors[surface.name, noise, method]
         top = "best" if method in sent and found.nrmse.median == best[noise] else ""
-        return TableCell(f"{_spread(found.nrmse)}<br><small>max. {_spread(found.greatest)}</small>", top)
+        return TableCell(f"{_quartiles(found.nrmse)}<br><small>max. {_quartiles(found.greatest)}</small>", top)
 
     rows: list[list[TableCell | str]] = [
         [name, *(cell(method, noise) for noise in shown)] for method, name in METHODS.items()
@@ -417,7 +417,7 @@ def _errors_html(errors: Mapping[Key, Errors], surface: Surface, seeds: int) -> 
     return table(["", *(NOISES[noise][0] for noise in shown)], rows, caption=caption)
 
 
-def _spread(value: Spread) -> str:
+def _quartiles(value: Quartiles) -> str:
     if math.isinf(value.median):
         return f"fails ({value.failed} of {value.count})"
     return f"{_short(value.median)} <span class='soft'>({_short(value.low)} – {_short(value.high)})</span>"

@@ -36,7 +36,7 @@ from simulator.page import (
     table,
 )
 from simulator.runner import Row
-from simulator.statistics import Spread, group, number, text
+from simulator.statistics import Quartiles, group, number, text
 
 NETWORK = "network"
 
@@ -124,7 +124,7 @@ def _apart(wire: str, wires: set[str]) -> list[str]:
     ]
 
 
-Curves = Mapping[str, Mapping[str, Sequence[tuple[float, Spread]]]]
+Curves = Mapping[str, Mapping[str, Sequence[tuple[float, Quartiles]]]]
 """Surface -> line -> (level or other abscissa, distortion) in ascending order."""
 
 
@@ -135,13 +135,13 @@ def curves(rows: Sequence[Row], abscissa: str) -> Curves:
         [row for row in rows if row[abscissa] is not None],
         lambda row: (text(row, "surface"), line_of(row), number(row, abscissa)),
     )
-    return _nested((key, Spread.of([row["nrmse"] for row in of])) for key, of in cells.items())
+    return _nested((key, Quartiles.of([row["nrmse"] for row in of])) for key, of in cells.items())
 
 
-def _nested(cells: Iterable[tuple[tuple[str, str, float], Spread]]) -> Curves:
-    nested: dict[str, dict[str, list[tuple[float, Spread]]]] = {}
-    for (surface, line, x), spread in cells:
-        nested.setdefault(surface, {}).setdefault(line, []).append((x, spread))
+def _nested(cells: Iterable[tuple[tuple[str, str, float], Quartiles]]) -> Curves:
+    nested: dict[str, dict[str, list[tuple[float, Quartiles]]]] = {}
+    for (surface, line, x), quartiles in cells:
+        nested.setdefault(surface, {}).setdefault(line, []).append((x, quartiles))
     return {s: {line: sorted(points, key=lambda p: p[0]) for line, points in of.items()} for s, of in nested.items()}
 
 
@@ -159,7 +159,7 @@ def choose_lines(rows: Sequence[Row], most: int = MAX_LINES) -> list[str]:
     line_of = Lines(rows)
     ranks: dict[str, list[float]] = {}
     for of in group(rows, _place).values():
-        medians = {line: Spread.of([row["nrmse"] for row in its]).median for line, its in group(of, line_of).items()}
+        medians = {line: Quartiles.of([row["nrmse"] for row in its]).median for line, its in group(of, line_of).items()}
         for line, median in medians.items():
             ranks.setdefault(line, []).append(sum(other < median for other in medians.values()))
     order = sorted(ranks, key=lambda name: (not name.startswith(NETWORK), float(np.mean(ranks[name])), name))
@@ -202,7 +202,7 @@ def draw_curves(all_curves: Curves, look: AxisLook, lines: Sequence[str]) -> Fig
 
 
 def _draw_lines(
-    axes: Axes, of: Mapping[str, Sequence[tuple[float, Spread]]], look: AxisLook, lines: Sequence[str]
+    axes: Axes, of: Mapping[str, Sequence[tuple[float, Quartiles]]], look: AxisLook, lines: Sequence[str]
 ) -> None:
     finite = [s.median for line in lines for _, s in of.get(line, ()) if math.isfinite(s.median)]
     top = 1.6 * max(finite, default=1.0)
@@ -280,10 +280,10 @@ def cells_csv(rows: Sequence[Row]) -> str:
     writer.writerow(["surface", "axis", "level", "line", "bytes", "samples", "failed", "median", "low", "high"])
     for (surface, axis, level, channel), of in group(rows, _place).items():
         for line, its in group(of, line_of).items():
-            spread = Spread.of([row["nrmse"] for row in its])
-            errors = [f"{value:.4g}" for value in (spread.median, spread.low, spread.high)]
+            quartiles = Quartiles.of([row["nrmse"] for row in its])
+            errors = [f"{value:.4g}" for value in (quartiles.median, quartiles.low, quartiles.high)]
             size = f"{_median(its, 'bytes'):.0f}"
-            writer.writerow([surface, channel or axis, level, line, size, spread.count, spread.failed, *errors])
+            writer.writerow([surface, channel or axis, level, line, size, quartiles.count, quartiles.failed, *errors])
     return out.getvalue()
 
 
@@ -304,7 +304,7 @@ class Contest:
     channel: str
     budget: str
     harmful: bool
-    distortion: Mapping[str, Spread]
+    distortion: Mapping[str, Quartiles]
     own: str
 
     @property
@@ -329,7 +329,7 @@ class Contest:
     @property
     def lost_by_all(self) -> bool:
         """Whether the median sample fails whatever the method: nothing arrived."""
-        return all(math.isinf(spread.median) for spread in self.distortion.values())
+        return all(math.isinf(quartiles.median) for quartiles in self.distortion.values())
 
 
 def contests(rows: Sequence[Row]) -> list[Contest]:
@@ -349,7 +349,7 @@ def contests(rows: Sequence[Row]) -> list[Contest]:
     for ((surface, axis, level, channel), budget), of in group(
         fair, lambda row: (_place(row), text(row, "budget") if len(budgets) > 1 else "")
     ).items():
-        distortion = {line: Spread.of([row["nrmse"] for row in its]) for line, its in group(of, line_of).items()}
+        distortion = {line: Quartiles.of([row["nrmse"] for row in its]) for line, its in group(of, line_of).items()}
         harmful = any(_harms(text(row, "channel")) for row in of)
         if own in distortion:
             found.append(Contest(surface, axis, level, channel, budget, harmful, distortion, own))
@@ -551,7 +551,7 @@ def _bytes_html(rows: Sequence[Row]) -> list[str]:
     sized = _nested(
         (
             (surface, _sized_line(of[0]), float(np.median([number(row, "bytes") for row in of]))),
-            Spread.of([row["nrmse"] for row in of]),
+            Quartiles.of([row["nrmse"] for row in of]),
         )
         for (surface, *_), of in cells.items()
     )
@@ -560,7 +560,7 @@ def _bytes_html(rows: Sequence[Row]) -> list[str]:
     sentence = "Distortion against the bytes sent, all overhead counted, on a clean channel."
     look = AxisLook("bytes on the air", sentence, logarithmic=True)
     lines = list(dict.fromkeys(line for of in sized.values() for line in of))
-    best = {line: min(spread.median for of in sized.values() for _, spread in of.get(line, [])) for line in lines}
+    best = {line: min(quartiles.median for of in sized.values() for _, quartiles in of.get(line, [])) for line in lines}
     chosen = sorted(lines, key=lambda line: (not line.startswith(NETWORK), best[line]))[:MAX_LINES]
     return ["<h2>Distortion against bytes</h2>", _curves_html(sized, look, chosen)]
 

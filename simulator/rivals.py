@@ -42,7 +42,7 @@ from simulator.folder import make_folder
 from simulator.page import STYLE, TableCell, illustration, line_style, page, png, svg, table
 from simulator.progress import progress_bar
 from simulator.runner import Progress, Row, silent
-from simulator.statistics import Spread, group
+from simulator.statistics import Quartiles, group
 from simulator.trial import direct
 
 
@@ -283,19 +283,19 @@ def _rows(rival: Rival, contest: Contest, axis: str, level: float, seeds: int, r
     ]
 
 
-def spreads(rows: Sequence[Row], name: str, axis: str) -> dict[str, dict[float, Spread]]:
+def summarise(rows: Sequence[Row], name: str, axis: str) -> dict[str, dict[float, Quartiles]]:
     """Median and quartiles by rival and level."""
     chosen = [row for row in rows if row["field"] == name and row["axis"] == axis]
     return {
         rival: {
-            level: Spread.of([row["nrmse"] for row in cell])
+            level: Quartiles.of([row["nrmse"] for row in cell])
             for level, cell in group(part, lambda row: float(row["level"] or 0.0)).items()
         }
         for rival, part in group(chosen, lambda row: str(row["rival"])).items()
     }
 
 
-def winners(found: Mapping[str, Mapping[float, Spread]]) -> dict[float, str]:
+def winners(found: Mapping[str, Mapping[float, Quartiles]]) -> dict[float, str]:
     """The rival with the least median at each level, "" where none has a surface at least half of the time."""
     levels = sorted({level for cells in found.values() for level in cells})
     best_at: dict[float, str] = {}
@@ -306,7 +306,7 @@ def winners(found: Mapping[str, Mapping[float, Spread]]) -> dict[float, str]:
     return best_at
 
 
-def verdict(found: Mapping[str, Mapping[float, Spread]], axis: str) -> str:
+def verdict(found: Mapping[str, Mapping[float, Quartiles]], axis: str) -> str:
     """Who wins where, and how the best network fares there, in words."""
     runs: list[tuple[str, list[float]]] = []
     for level, winner in winners(found).items():
@@ -353,13 +353,13 @@ def figure(rows: Sequence[Row], name: str, budget: int) -> Figure:
 
 
 def _draw(ax: Axes, rows: Sequence[Row], name: str, axis: str) -> None:
-    found = spreads(rows, name, axis)
+    found = summarise(rows, name, axis)
     labels = [rival.label for rival in RIVALS]
     for label, cells in found.items():
         look = labels.index(label) if label in labels else len(labels) - 1
         levels = np.array(list(cells))
         low, middle, high = (
-            np.minimum([getattr(spread, part) for spread in cells.values()], NO_SURFACE)
+            np.minimum([getattr(quartiles, part) for quartiles in cells.values()], NO_SURFACE)
             for part in ("low", "median", "high")
         )
         style = line_style(look)
@@ -383,7 +383,7 @@ def _page(rows: Sequence[Row], contests: Sequence[Contest], seeds: int) -> str:
         caption = f"{escape(name)}: {budget:,} bytes in datagrams of {datagram}."
         parts += [f"<h2>{escape(name)}</h2>", illustration(svg(figure(rows, name, budget)), caption)]
         for axis in AXES:
-            found = spreads(rows, name, axis)
+            found = summarise(rows, name, axis)
             best_at = winners(found)
             parts.append(f"<p>{escape(verdict(found, axis))}</p>")
             head = ["rival", *(f"{level:g}" for level in best_at)]
@@ -395,10 +395,10 @@ def _page(rows: Sequence[Row], contests: Sequence[Contest], seeds: int) -> str:
     return page("Features and raster codecs at equal bytes", "\n".join(parts))
 
 
-def _cell(spread: Spread | None, *, winner: bool) -> TableCell:
-    if spread is None:
+def _cell(quartiles: Quartiles | None, *, winner: bool) -> TableCell:
+    if quartiles is None:
         return TableCell("")
-    words = f"{spread.median:.4f}" if np.isfinite(spread.median) else "no surface"
+    words = f"{quartiles.median:.4f}" if np.isfinite(quartiles.median) else "no surface"
     return TableCell(f"<b>{words}</b>" if winner else words)
 
 
@@ -415,6 +415,6 @@ def rivals_command(
         rows = run_rivals(out, seeds=seeds, workers=workers, progress=progress)
     for name, budget, _ in CONTESTS:
         for axis in AXES:
-            said = verdict(spreads(rows, name, axis), axis)
+            said = verdict(summarise(rows, name, axis), axis)
             console.print(f"{name}, {budget} bytes. {said}", highlight=False)
     console.print(f"{out / 'rivals.html'}", highlight=False, soft_wrap=True)

@@ -14,7 +14,7 @@ from simulator.runner import Cell, Row
 
 
 @dataclass(frozen=True)
-class Spread:
+class Quartiles:
     """Median and quartiles over samples. A failure counts as infinitely bad, so it can be the median itself."""
 
     median: float
@@ -24,7 +24,7 @@ class Spread:
     failed: int
 
     @classmethod
-    def of(cls, values: Sequence[Cell]) -> Spread:
+    def of(cls, values: Sequence[Cell]) -> Quartiles:
         """Of numbers; None is a failure."""
         numbers = np.array([np.inf if value is None else float(value) for value in values])
         # "nearest" orders by rank: infinities are never subtracted from each other.

@@ -13,7 +13,7 @@ from common.errors import ParameterError
 from common.surface import FloatArray
 from sender.surfaces import AnalyticSurface, find_surface
 from simulator import paper
-from simulator.statistics import Spread
+from simulator.statistics import Quartiles
 from tests.simulator.test_report import outside
 
 SHOWN = ("surface-1", "surface-1-printed")
@@ -103,7 +103,7 @@ def test_a_verdict_is_over_the_three_surfaces(held: tuple[bool, ...], words: str
 def test_claims_can_fail() -> None:
     def errors(network: float, cubic: float) -> dict[paper.Key, paper.Errors]:
         def cell(value: float) -> paper.Errors:
-            return paper.Errors(Spread.of([value]), Spread.of([value]))
+            return paper.Errors(Quartiles.of([value]), Quartiles.of([value]))
 
         return {
             ("surface-1", noise, method): cell(cubic if method.startswith("cubic") else network)

@@ -15,7 +15,7 @@ from simulator import report
 from simulator.campaign import Campaign
 from simulator.page import data_script, page, table
 from simulator.runner import Row
-from simulator.statistics import Spread
+from simulator.statistics import Quartiles
 from simulator.table import COLUMNS
 
 WORDS = report.Words("A <title>", "Lead & more.", "simulate sweep x.toml", {"peaks": "The note."})
@@ -228,12 +228,12 @@ def test_what_fails_for_everyone_is_named_and_not_counted() -> None:
 
 
 def test_a_spread_is_the_median_and_the_quartiles() -> None:
-    assert Spread.of(range(9)) == Spread(4.0, 2.0, 6.0, 9, 0)
+    assert Quartiles.of(range(9)) == Quartiles(4.0, 2.0, 6.0, 9, 0)
 
 
 @pytest.mark.parametrize("least", [0.1, 0.003, 0.0003])
 def test_values_can_be_read_at_labels_that_stand_apart(least: float) -> None:
-    of = [(level, Spread(value, value, value, 1, 0)) for level, value in ((0.0, least), (0.2, 0.23))]
+    of = [(level, Quartiles(value, value, value, 1, 0)) for level, value in ((0.0, least), (0.2, 0.23))]
     curves = {name: {"network": of} for name in ("peaks", "franke", "surface-1")}
     figure = report.draw_curves(curves, report.look_of("noise"), ["network"])
     figure.set_dpi(72)
@@ -247,9 +247,9 @@ def test_values_can_be_read_at_labels_that_stand_apart(least: float) -> None:
 
 
 def test_a_failure_is_infinitely_bad() -> None:
-    assert Spread.of([1.0, None, 3.0]) == Spread(3.0, 1.0, float("inf"), 3, 1)
-    assert Spread.of([1.0, 2.0, None, None]).median == float("inf")
-    assert Spread.of([1.0, 3.0]).median == 2.0
+    assert Quartiles.of([1.0, None, 3.0]) == Quartiles(3.0, 1.0, float("inf"), 3, 1)
+    assert Quartiles.of([1.0, 2.0, None, None]).median == float("inf")
+    assert Quartiles.of([1.0, 3.0]).median == 2.0
 
 
 def test_a_line_names_what_is_sent_only_where_that_differs() -> None:

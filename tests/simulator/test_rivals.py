@@ -10,8 +10,8 @@ import pytest
 from common.errors import ParameterError
 from sender.surfaces import find_surface
 from simulator import rivals
-from simulator.rivals import AXES, RIVALS, Contest, Rival, run_rivals, spreads, verdict, winners
-from simulator.statistics import Spread
+from simulator.rivals import AXES, RIVALS, Contest, Rival, run_rivals, summarise, verdict, winners
+from simulator.statistics import Quartiles
 
 CONTEST = Contest("franke", 512, 64)
 FEW = (RIVALS[0], RIVALS[2], RIVALS[3], Rival("scattered", codec="scattered_samples"))
@@ -39,12 +39,12 @@ def test_every_rival_keeps_to_the_bytes_and_the_files_say_what_was_measured(tmp_
     assert (tmp_path / "rivals-franke.png").read_bytes().startswith(b"\x89PNG")
     assert "Median NRMSE by bit-error rate" in (tmp_path / "rivals.html").read_text("utf-8")
 
-    loss = spreads(rows, "franke", "loss")
+    loss = summarise(rows, "franke", "loss")
     bare, safe = loss["lattice, network"], loss["lattice protected, network"]
     assert bare[0.0].median < 0.002
     assert bare[0.0].median < bare[0.4].median < 0.1  # a thinner lattice is a surface still
     assert bare[0.4].failed == 0
-    assert spreads(rows, "franke", "ber")["lattice protected, network"][1e-2].median == safe[0.0].median
+    assert summarise(rows, "franke", "ber")["lattice protected, network"][1e-2].median == safe[0.0].median
     for rival in ("features, network", "lattice, network", "scattered"):
         lossy = [row["nrmse"] for row in rows if (row["rival"], row["axis"], row["level"]) == (rival, "loss", 0.4)]
         assert len(set(lossy)) == 3
@@ -52,8 +52,8 @@ def test_every_rival_keeps_to_the_bytes_and_the_files_say_what_was_measured(tmp_
 
 def test_the_winner_has_the_least_median_and_failures_never_win() -> None:
     found = {
-        "a": {0.1: Spread.of([0.1, 0.2, 0.3]), 0.2: Spread.of([None, None, 0.1])},
-        "b": {0.1: Spread.of([0.3, 0.1, 0.1]), 0.2: Spread.of([None, None, None])},
+        "a": {0.1: Quartiles.of([0.1, 0.2, 0.3]), 0.2: Quartiles.of([None, None, 0.1])},
+        "b": {0.1: Quartiles.of([0.3, 0.1, 0.1]), 0.2: Quartiles.of([None, None, None])},
     }
     assert winners(found) == {0.1: "b", 0.2: ""}
 
@@ -77,9 +77,9 @@ def test_the_labels_of_the_rivals_are_told_apart() -> None:
 def test_the_verdict_says_who_wins_where_and_how_far_the_network_is_behind() -> None:
     network = RIVALS[0].label
     found = {
-        network: {level: Spread.of([error] * 3) for level, error in ((0.0, 0.02), (0.1, 0.03), (0.2, 0.04))},
-        "codec": {level: Spread.of([error] * 3) for level, error in ((0.0, 0.01), (0.1, 0.01), (0.2, None))},
-        "frail": {0.3: Spread.of([None] * 3)},
+        network: {level: Quartiles.of([error] * 3) for level, error in ((0.0, 0.02), (0.1, 0.03), (0.2, 0.04))},
+        "codec": {level: Quartiles.of([error] * 3) for level, error in ((0.0, 0.01), (0.1, 0.01), (0.2, None))},
+        "frail": {0.3: Quartiles.of([None] * 3)},
     }
     said = verdict(found, "loss")
     assert "at 0 to 0.1 codec wins, the best network behind by a factor of 2.00 to 3.00" in said
