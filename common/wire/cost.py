@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from common.surface import FeatureSet
-from common.wire.encoder import protect_blocks, write_blocks
+from common.wire.encoder import draft, protect
 from common.wire.options import WireOptions
 
 
@@ -62,13 +62,13 @@ def encode_with_cost(
 ) -> tuple[list[bytes], Cost]:
     """What `encode` and `cost` give, with the points written once; raises what `encode` raises."""
     options = options or WireOptions()
-    header, blocks = write_blocks(features, transmission, options)
-    datagrams = protect_blocks(header, blocks, options)
+    unprotected = draft(features, transmission, options)
+    datagrams = protect(unprotected, options)
     repeated = once = datagrams
     if options.inner:
-        repeated = once = protect_blocks(header, blocks, options.model_copy(update={"inner": 0}))
+        repeated = once = protect(unprotected, options.model_copy(update={"inner": 0}))
     if options.copies > 1:
-        once = protect_blocks(header, blocks, options.model_copy(update={"copies": 1, "inner": 0}))
-    points, plain = sum(map(len, blocks)), sum(map(len, once[: header.total]))
+        once = protect(unprotected, options.model_copy(update={"copies": 1, "inner": 0}))
+    points, plain = sum(map(len, unprotected.blocks)), sum(map(len, once[: unprotected.header.total]))
     single, several, sent = (sum(map(len, each)) for each in (once, repeated, datagrams))
     return datagrams, Cost(points, plain - points, single - plain, several - single, sent - several, len(features))

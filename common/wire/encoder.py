@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,11 +63,23 @@ def encode(features: FeatureSet, *, transmission: str, options: WireOptions | No
     Raises LimitError for more points or packets than are accepted, ParameterError where not one point fits a datagram.
     """
     options = options or WireOptions()
-    return protect_blocks(*write_blocks(features, transmission, options), options)
+    return protect(draft(features, transmission, options), options)
 
 
-def write_blocks(features: FeatureSet, transmission: str, options: WireOptions) -> tuple[Header, list[bytes]]:
-    """The header of a transmission and the points of each of its packets, not yet protected.
+class Draft(NamedTuple):
+    """A transmission that is not yet protected: its header, and the points of each of its packets."""
+
+    header: Header
+    blocks: list[bytes]
+
+    @property
+    def size(self) -> int:
+        """Bytes that differ from form to form."""
+        return len(self.header.rest()) * len(self.blocks) + sum(map(len, self.blocks))
+
+
+def draft(features: FeatureSet, transmission: str, options: WireOptions) -> Draft:
+    """The points of a transmission in packets.
 
     Of the forms that the options allow, the one that takes fewest bytes. Raises what `encode` raises.
     """
@@ -74,30 +87,26 @@ def write_blocks(features: FeatureSet, transmission: str, options: WireOptions) 
         raise LimitError(f"{len(features)} points; a transmission carries at most {MAX_POINTS}")
     ordered = features.points[_along_curve(features)]
     # The search may step over the most packets there can be: they are tried where it finds nothing.
-    for find in (_Plan.fit, _Plan.fit_most):
+    for find in (_Search.fit, _Search.fit_most):
         for forms in _forms(features, options):
-            plans = [find(_Plan(features, transmission, options, form, grid), ordered) for form, grid in forms]
-            if found := [plan for plan in plans if plan is not None]:
-                return min(found, key=_size)
+            drafts = [find(_Search(features, transmission, options, form, grid), ordered) for form, grid in forms]
+            if found := [each for each in drafts if each is not None]:
+                return min(found, key=lambda each: each.size)
     raise LimitError(
         f"{len(features)} points take more than {MAX_PACKETS} packets of {options.datagram} bytes; "
         "choose longer datagrams"
     )
 
 
-def _size(plan: tuple[Header, list[bytes]]) -> int:
-    header, blocks = plan
-    return len(header.rest()) * len(blocks) + sum(map(len, blocks))
-
-
-def protect_blocks(header: Header, blocks: Sequence[bytes], options: WireOptions) -> list[bytes]:
-    """The datagrams: parity, copies and the inner code added to `blocks` as the options say."""
+def protect(unprotected: Draft, options: WireOptions) -> list[bytes]:
+    """The datagrams: parity, copies and the inner code added as the options say."""
+    header, blocks = unprotected
     parity = parity_blocks(blocks, header.parity) if header.parity else []
     payloads = write_payloads(header, [*blocks, *parity] * options.copies)
     return inner.protect(payloads, options.inner) if options.inner else frame(payloads)
 
 
-class _Plan:
+class _Search:
     """Finds with how many packets every datagram is short enough, for one form of the points."""
 
     def __init__(
@@ -115,8 +124,8 @@ class _Plan:
             else options.datagram - framing_bytes(options.datagram)
         )
 
-    def fit(self, points: FloatArray) -> tuple[Header, list[bytes]] | None:
-        """The header and the blocks; None where this form does not lead to packets that are short enough.
+    def fit(self, points: FloatArray) -> Draft | None:
+        """The draft; None where this form does not lead to packets that are short enough.
 
         Raises ParameterError where not one point fits into a datagram.
         """
@@ -124,18 +133,18 @@ class _Plan:
         for _ in range(MAX_ROUNDS):
             if total > self._most:
                 return None
-            plan, excess = self._try(points, total)
-            if plan is not None:
-                return plan
+            found, excess = self._try(points, total)
+            if found is not None:
+                return found
             total = max(total + 1, math.ceil(total * excess))
         return None
 
-    def fit_most(self, points: FloatArray) -> tuple[Header, list[bytes]] | None:
+    def fit_most(self, points: FloatArray) -> Draft | None:
         """What `fit` returns and raises, with the most packets there can be: one for each point, or `MAX_PACKETS`."""
         return self._try(points, self._most)[0]
 
-    def _try(self, points: FloatArray, total: int) -> tuple[tuple[Header, list[bytes]] | None, float]:
-        """The header and the blocks, or None where they are too long; and how long the longest is over what fits."""
+    def _try(self, points: FloatArray, total: int) -> tuple[Draft | None, float]:
+        """The draft, or None where a block is too long; and how long the longest is over what fits."""
         header, room = self._with(total)
         most_bytes, share = load(points, header)
         excess = max(most_bytes / room, share)
@@ -143,7 +152,7 @@ class _Plan:
             return None, excess
         blocks = write(points, header)
         excess = max(map(len, blocks)) / room
-        return ((header, blocks) if excess <= 1 else None), excess
+        return (Draft(header, blocks) if excess <= 1 else None), excess
 
     def _with(self, total: int) -> tuple[Header, int]:
         """The header of so many packets, and the bytes that it leaves for the points of each."""
