@@ -11,20 +11,22 @@ from typing import Annotated, Any
 import typer
 import uvicorn
 from fastapi import FastAPI
-from pydantic import ValidationError
 from rich.console import Console
 from rich.markup import escape
 
-from common.errors import SurfacelinkError
+from common.command import about, run, settings_from
 from common.listening import listen, url_of
-from common.problems import problem_of_fields
 from receiver.app import create_app
 from receiver.settings import Settings
 from receiver.store import Store
 from receiver.surfaces import Surfaces
 
 app = typer.Typer(
-    name="receiver", help="Takes a surface's packets in and grows the surface back.", no_args_is_help=True
+    name="receiver",
+    help="Takes a surface's packets in and grows the surface back.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
 )
 
 GRACE_SECONDS = 5
@@ -32,8 +34,8 @@ GRACE_SECONDS = 5
 
 
 @app.callback()
-def main() -> None:
-    """Takes a surface's packets in and grows the surface back."""
+def _commands() -> None:
+    """Keeps `serve` a word of its own, although it is the only command."""
 
 
 class Server(uvicorn.Server):
@@ -57,29 +59,18 @@ class Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
-def _about(name: str) -> str:
-    """What the command line says of a setting: the settings' own words, the variable and the default."""
-    setting = Settings.model_fields[name]
-    return f"{setting.description} (RECEIVER_{name.upper()}, {setting.default})"
-
-
-def _fail(message: str) -> typer.Exit:
-    Console(stderr=True, soft_wrap=True).print(f"[bold red]error:[/] {escape(message)}", highlight=False)
-    return typer.Exit(1)
-
-
 @app.command()
 def serve(
-    host: Annotated[str | None, typer.Option(help=_about("host"))] = None,
-    port: Annotated[int | None, typer.Option(help=_about("port"))] = None,
-    data: Annotated[Path | None, typer.Option(help=_about("data"), metavar="DIR")] = None,
-    channel: Annotated[str | None, typer.Option(help=_about("channel"), metavar="SPEC")] = None,
-    seed: Annotated[int | None, typer.Option(help=_about("seed"))] = None,
+    host: Annotated[str | None, typer.Option(help=about(Settings, "host"))] = None,
+    port: Annotated[int | None, typer.Option(help=about(Settings, "port"))] = None,
+    data: Annotated[Path | None, typer.Option(help=about(Settings, "data"), metavar="DIR")] = None,
+    channel: Annotated[str | None, typer.Option(help=about(Settings, "channel"), metavar="SPEC")] = None,
+    seed: Annotated[int | None, typer.Option(help=about(Settings, "seed"))] = None,
     channel_control: Annotated[
-        bool | None, typer.Option("--channel-control/--no-channel-control", help=_about("channel_control"))
+        bool | None, typer.Option("--channel-control/--no-channel-control", help=about(Settings, "channel_control"))
     ] = None,
-    trainings: Annotated[int | None, typer.Option(help=_about("trainings"))] = None,
-    max_body_bytes: Annotated[int | None, typer.Option(help=_about("max_body_bytes"))] = None,
+    trainings: Annotated[int | None, typer.Option(help=about(Settings, "trainings"))] = None,
+    max_body_bytes: Annotated[int | None, typer.Option(help=about(Settings, "max_body_bytes"))] = None,
     access_log: Annotated[bool, typer.Option(help="Whether each request is logged.")] = False,
 ) -> None:
     """Serve until it is stopped. What is not given here is read from RECEIVER_... in the environment."""
@@ -93,15 +84,10 @@ def serve(
         "trainings": trainings,
         "max_body_bytes": max_body_bytes,
     }
-    try:
-        settings = Settings(**{name: value for name, value in given.items() if value is not None})
-        application = create_app(settings)
-        Store(settings.data).close()  # says what is wrong with the folder before anything listens
-        listener = listen(settings.host, settings.port)
-    except ValidationError as error:
-        raise _fail(problem_of_fields(error.errors()).detail or "") from None
-    except SurfacelinkError as error:
-        raise _fail(error.detail) from None
+    settings = settings_from(Settings, given)
+    application = create_app(settings)
+    Store(settings.data).close()  # says what is wrong with the folder before anything listens
+    listener = listen(settings.host, settings.port)
     logging.captureWarnings(True)
 
     def announce() -> None:
@@ -121,5 +107,10 @@ def serve(
         Server(config, application, announce).run(sockets=[listener])
 
 
+def main() -> None:
+    """The command line."""
+    run(app)
+
+
 if __name__ == "__main__":
-    app()
+    main()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -15,10 +14,10 @@ import uvicorn
 from pydantic import ValidationError
 from rich.console import Console
 from rich.table import Table
-from rich.text import Text
 
 from common.channel import Channel
-from common.errors import ParameterError, SurfacelinkError
+from common.command import about, run, settings_from
+from common.errors import ParameterError
 from common.listening import listen, url_of
 from common.problems import problem_of_fields
 from common.surface import Unit
@@ -43,24 +42,14 @@ console = Console()
 DEFAULTS = Settings.model_construct()
 
 
-def _about(name: str) -> str:
-    """What the command line says of a setting: the settings' own words, the variable and the default."""
-    setting = Settings.model_fields[name]
-    return f"{setting.description} (SENDER_{name.upper()}, {setting.default})"
-
-
 @app.command()
 def serve(
-    host: Annotated[str | None, typer.Option(help=_about("host"))] = None,
-    port: Annotated[int | None, typer.Option(help=_about("port"))] = None,
-    receiver: Annotated[str | None, typer.Option(help=_about("receiver"))] = None,
+    host: Annotated[str | None, typer.Option(help=about(Settings, "host"))] = None,
+    port: Annotated[int | None, typer.Option(help=about(Settings, "port"))] = None,
+    receiver: Annotated[str | None, typer.Option(help=about(Settings, "receiver"))] = None,
 ) -> None:
     """Run the service. What is not given here is read from SENDER_... in the environment."""
-    given: dict[str, Any] = {"host": host, "port": port, "receiver": receiver}
-    try:
-        settings = Settings(**{name: value for name, value in given.items() if value is not None})
-    except ValidationError as error:
-        raise ParameterError(problem_of_fields(error.errors()).detail) from error
+    settings = settings_from(Settings, {"host": host, "port": port, "receiver": receiver})
     ReceiverClient.connect(settings.receiver)
     with listen(settings.host, settings.port) as listener:
         console.print(f"sender    {url_of(listener)}", highlight=False, soft_wrap=True)
@@ -189,12 +178,8 @@ def _order(**fields: Any) -> Order:
 
 
 def main() -> None:
-    """The command line; an error of ours is one line on stderr and exit status 1."""
-    try:
-        app()
-    except SurfacelinkError as error:
-        Console(stderr=True).print(Text.assemble(("error: ", "bold red"), str(error)), soft_wrap=True)
-        sys.exit(1)
+    """The command line."""
+    run(app)
 
 
 if __name__ == "__main__":

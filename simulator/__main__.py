@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import sys
 import tempfile
 from pathlib import Path
 from typing import Annotated
@@ -18,7 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from common.channel import Channel
-from common.errors import SurfacelinkError
+from common.command import run
 from common.listening import listen, url_of
 from sender.surfaces import find_surface
 from simulator.demo import DEMO_SURFACES, Trial, run_demo, steps
@@ -157,12 +156,8 @@ def channel(
 
 
 def main() -> None:
-    """The command line; an error of ours is one line on stderr and exit status 1."""
-    try:
-        app()
-    except SurfacelinkError as error:
-        Console(stderr=True).print(Text.assemble(("error: ", "bold red"), str(error)), soft_wrap=True)
-        sys.exit(1)
+    """The command line."""
+    run(app)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,40 @@
+"""What the command lines have in common: settings from options, and an error of ours as one line."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+from rich.console import Console
+from rich.text import Text
+
+from common.errors import ParameterError, SurfacelinkError
+from common.problems import problem_of_fields
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def settings_from(model: type[Model], options: Mapping[str, Any]) -> Model:
+    """Settings from the options that are not None, the rest from the environment; raises ParameterError."""
+    try:
+        return model(**{name: value for name, value in options.items() if value is not None})
+    except ValidationError as error:
+        raise ParameterError(problem_of_fields(error.errors()).detail) from error
+
+
+def about(model: type[BaseModel], name: str) -> str:
+    """What the command line says of a setting: the settings' own words, the variable and the default."""
+    setting = model.model_fields[name]
+    variable = f"{model.model_config.get('env_prefix', '')}{name}".upper()
+    return f"{setting.description} ({variable}, {setting.default})"
+
+
+def run(command: Callable[[], object]) -> None:
+    """Run a command line; an error of ours is one line on stderr and exit status 1."""
+    try:
+        command()
+    except SurfacelinkError as error:
+        Console(stderr=True).print(Text.assemble(("error: ", "bold red"), str(error)), soft_wrap=True)
+        sys.exit(1)
