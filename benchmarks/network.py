@@ -79,6 +79,12 @@ BOWL = _analytic("surface 2", lambda x, y: -5 / (1 + x**2 + y**2))
 ELEVATION = _cells("elevation", elevation)
 FRACTAL = _cells("fractal terrain", fractal)
 
+SHORT = 20_000
+"""Points up to which everything is timed three times, and the least counts."""
+
+SHARE = 50
+"""One row of the grid in so many is what RBFInterpolator is timed on; its time is that of its nodes, one by one."""
+
 Predict = Callable[[FloatArray], FloatArray]
 
 
@@ -185,7 +191,11 @@ def fit_table(seeds: int, most: int) -> Bars:
     """Fit and RMSE beside GaussianProcessRegressor."""
     if not installed("sklearn"):
         return
-    table = Table("Spread and smoothing from the data, beside GaussianProcessRegressor", 38, *_FIT)
+    table = Table(
+        "Spread and smoothing from the data, beside GaussianProcessRegressor",
+        38,
+        *("fit / s", "theirs / s", "ratio", "RMSE", "theirs", "ratio", "seeds"),
+    )
     # Few points are a matter of luck. Without noise their optimiser takes minutes for 2,000 points.
     cases = [(50, 0.0, 0.5, 4 * seeds), (50, 0.05, 0.5, 4 * seeds), (500, 0.0, 0.2, min(seeds, 3))]
     cases += [(500, 0.05, 0.2, min(seeds, 3)), (2000, 0.05, 0.05, 1)]
@@ -205,9 +215,6 @@ def fit_table(seeds: int, most: int) -> Bars:
             table.row(name, ours, theirs, ours / theirs, error, other, error / other, f"{repeats}")
             yield Bar(f"fit, {name}: seconds over theirs", ours / theirs, goal)
             yield Bar(f"fit, {name}: RMSE over theirs", error / other, 1.0)
-
-
-_FIT = ("fit / s", "theirs / s", "ratio", "RMSE", "theirs", "ratio", "seeds")
 
 
 def accuracy_table(seeds: int, most: int) -> Bars:
@@ -353,13 +360,6 @@ def large_table(seeds: int, most: int) -> Bars:
             goal = 8 if n == 1_000_000 else 1
             yield Bar(f"large, {n:,}: times faster than ferreus {kernel}", times, goal, least=True)
             yield Bar(f"large, {n:,}: RMSE over ferreus {kernel}'s", ratio, 1.0)
-
-
-SHORT = 20_000
-"""Points up to which everything is timed three times, and the least counts."""
-
-SHARE = 50
-"""One row of the grid in so many is what RBFInterpolator is timed on; its time is that of its nodes, one by one."""
 
 
 TABLES: dict[str, Callable[[int, int], Bars]] = {

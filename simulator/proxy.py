@@ -20,9 +20,10 @@ from starlette.routing import Route
 
 from common.channel import Channel
 from common.channel.carrying import FAULTS_HEADER
-from common.errors import ChannelError, LimitError, LinkError, ParameterError, SurfacelinkError
+from common.errors import ChannelError, LinkError, ParameterError, SurfacelinkError
 from common.problems import problem_of
 from common.wire.limits import MAX_BODY
+from receiver.limits import limited
 from receiver.middleware import FAULTS, ChannelMiddleware, Sleep
 from receiver.problems import respond
 
@@ -164,11 +165,7 @@ async def _get_channel(request: Request) -> Response:
 
 
 async def _put_channel(request: Request) -> Response:
-    body = bytearray()
-    async for chunk in request.stream():
-        body += chunk
-        if len(body) > MAX_CHANNEL_BYTES:
-            raise LimitError(f"the description of a channel is longer than {MAX_CHANNEL_BYTES} bytes")
+    body = await Request(request.scope, limited(request.scope, request.receive, MAX_CHANNEL_BYTES)).body()
     try:
         document = json.loads(body)
     except (ValueError, RecursionError) as error:

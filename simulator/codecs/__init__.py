@@ -228,7 +228,7 @@ def _checked(z: FloatArray) -> FloatArray:
     return heights
 
 
-class _Trials:
+class _Encodings:
     """Encodings of one grid by one codec, each made once."""
 
     def __init__(self, codec: Codec, z: FloatArray) -> None:
@@ -258,13 +258,13 @@ def best(codec: str, z: FloatArray, budget: int) -> Message:
     NotFoundError, MissingExtraError, PointsError
     """
     heights = _checked(z)
-    trials = _Trials(find_codec(codec), heights)
+    encodings = _Encodings(find_codec(codec), heights)
     found: list[Message] = []
-    least = len(trials.data(trials.ladders[0][0]))
-    for ladder in trials.ladders:
-        fits = bisect_left(ladder, True, key=lambda setting: len(trials.data(setting)) > budget)
+    least = len(encodings.data(encodings.ladders[0][0]))
+    for ladder in encodings.ladders:
+        fits = bisect_left(ladder, True, key=lambda setting: len(encodings.data(setting)) > budget)
         if fits > 0:
-            found.append(trials.message(ladder[fits - 1]))
+            found.append(encodings.message(ladder[fits - 1]))
     if not found:
         raise ParameterError(f"codec {codec} cannot write this grid in {budget} bytes; its coarsest takes {least}")
     return min(found, key=lambda message: (message.nrmse, len(message.data)))
@@ -273,12 +273,12 @@ def best(codec: str, z: FloatArray, budget: int) -> Message:
 def smallest(codec: str, z: FloatArray, target: float) -> Message:
     """The shortest message with an NRMSE of at most `target`; searched and raising as `best` does."""
     heights = _checked(z)
-    trials = _Trials(find_codec(codec), heights)
+    encodings = _Encodings(find_codec(codec), heights)
     found: list[Message] = []
-    for ladder in trials.ladders:
-        index = bisect_left(ladder, True, key=lambda setting: trials.message(setting).nrmse <= target)
+    for ladder in encodings.ladders:
+        index = bisect_left(ladder, True, key=lambda setting: encodings.message(setting).nrmse <= target)
         if index < len(ladder):
-            found.append(trials.message(ladder[index]))
+            found.append(encodings.message(ladder[index]))
     if not found:
         raise ParameterError(f"codec {codec} does not reach an NRMSE of {target:g} on this grid")
     return min(found, key=lambda message: (len(message.data), message.nrmse))

@@ -146,6 +146,16 @@ async def test_a_channel_that_is_none_leaves_the_old_one_in_force(content: bytes
 
 
 @pytest.mark.anyio
+async def test_a_channel_is_no_longer_than_accepted_though_its_length_is_not_declared() -> None:
+    async def parts() -> AsyncIterator[bytes]:
+        for _ in range(5):
+            yield b" " * (MAX_CHANNEL_BYTES // 4)
+
+    async with through(SPEC) as client:
+        assert (await client.put("/v1/channel", content=parts())).status_code == 413
+
+
+@pytest.mark.anyio
 async def test_a_server_that_does_not_answer_is_a_502() -> None:
     def refuse(request: httpx.Request) -> httpx.Response:
         raise httpx.ConnectError("no one there", request=request)
