@@ -44,6 +44,9 @@ async def _on_surfacelink_error(_request: Request, error: Exception) -> Response
 async def _on_http_exception(request: Request, error: Exception) -> Response:
     if not isinstance(error, HTTPException):
         raise error
+    if isinstance(error.__cause__, SurfacelinkError):
+        # FastAPI makes a 400 of whatever is raised while it reads a body of JSON.
+        return await _on_surfacelink_error(request, error.__cause__)
     details = {
         HTTPStatus.NOT_FOUND: f"there is nothing at {request.url.path}; /docs lists what there is",
         HTTPStatus.METHOD_NOT_ALLOWED: f"{request.method} is not possible here; see the header Allow",

@@ -256,6 +256,8 @@ async def test_bodies_are_limited(running: Running, features: FeatureSet) -> Non
         assert_problem(await client.transmit("hills", bytes(1_025)), 413, "1024 bytes")
         answer = await client.post("/v1/transmissions/hills", content=endless(), headers=HEADERS)
         assert_problem(answer, 413)
+        json = {"Content-Type": "application/json"}
+        assert_problem(await client.put("/v1/channel", content=endless(), headers=json), 413, "1024 bytes")
     async with running(max_body_bytes=1_024, channel="erasure:p=0.5") as client:
         assert_problem(await client.transmit("hills", bytes(1_025)), 413)
         answer = await client.post("/v1/transmissions/hills", content=endless(), headers=HEADERS)
