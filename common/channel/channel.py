@@ -155,12 +155,13 @@ class Channel:
             sent in several parts, or sent again in part: the `Delivery` of the first call has it.
         """
         flight = launch(packets)
-        launched, known = tuple(flight), [] if reference is None else [reference]
+        launched = tuple(flight)
 
         def scale() -> Reference:
-            if not known:
-                known.append(Reference.of(launched))
-            return known[0]
+            nonlocal reference
+            if reference is None:
+                reference = Reference.of(launched)
+            return reference
 
         log: list[Fault] = []
         for position, impairment in enumerate(self.impairments):
@@ -171,5 +172,5 @@ class Channel:
             packets=tuple(deliver(flight)),
             faults=tuple(sorted(log, key=lambda fault: (fault.packet, fault.copy))),
             times=tuple(datagram.at for datagram in flight),
-            reference=known[0] if known else None,
+            reference=reference,
         )
