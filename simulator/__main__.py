@@ -20,7 +20,7 @@ from common.channel import Channel
 from common.command import run
 from common.listening import listen, url_of
 from sender.surfaces import find_surface
-from simulator.demo import DEMO_SURFACES, Trial, run_demo, steps
+from simulator.demo import DEMO_SURFACES, Exhibit, run_demo, steps
 from simulator.folder import make_folder
 from simulator.paper import paper_command
 from simulator.pictures import write_pictures
@@ -71,22 +71,22 @@ def demo(
                 bar.update(task, description=stage)
                 bar.advance(task)
 
-            trials = anyio.run(lambda: run_demo(services, names, progress=progress))
+            exhibits = anyio.run(lambda: run_demo(services, names, progress=progress))
             bar.update(task, description="drawing")
-            pictures = write_pictures(trials, out)
+            pictures = write_pictures(exhibits, out)
             bar.advance(task)
-        console.print(demo_table(trials))
+        console.print(demo_table(exhibits))
         console.print("NRMSE: root mean square error over the range of z. Noisy: the paper's noise, on x, y and z.")
         console.print("Linear and cubic interpolate the same feature points.")
         for picture in pictures:
             console.print(f"picture: {picture}", highlight=False, soft_wrap=True)
         if serve:
-            _leave_running(services, trials)
+            _leave_running(services, exhibits)
 
 
-def demo_table(trials: list[Trial]) -> Table:
+def demo_table(exhibits: list[Exhibit]) -> Table:
     """The figures of the demo, a column a surface; the least error of each channel in bold."""
-    rows = [trial.row() for trial in trials]
+    rows = [exhibit.row() for exhibit in exhibits]
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for name in rows[0]:
         if name == "surface":
@@ -113,8 +113,8 @@ def _cell(name: str, value: str | float) -> str:
     return value
 
 
-def _leave_running(services: Services, trials: list[Trial]) -> None:
-    receiver, sender, surface = services.receiver, services.sender, trials[0].noisy.id
+def _leave_running(services: Services, exhibits: list[Exhibit]) -> None:
+    receiver, sender, surface = services.receiver, services.sender, exhibits[0].noisy.id
     as_json = "-H 'Content-Type: application/json'"
     lines = (
         f"receiver {receiver}  (open it in a browser)",

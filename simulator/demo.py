@@ -40,7 +40,7 @@ class Arrived:
 
 
 @dataclass(frozen=True)
-class Trial:
+class Exhibit:
     """One surface, sent through the clean and through the noisy channel."""
 
     surface: Surface
@@ -74,7 +74,7 @@ async def run_demo(
     names: tuple[str, ...] = DEMO_SURFACES,
     *,
     progress: Callable[[str], None] = lambda _stage: None,
-) -> list[Trial]:
+) -> list[Exhibit]:
     """Send each surface through both channels and fetch what comes back.
 
     Parameters
@@ -91,7 +91,7 @@ async def run_demo(
     SurfacelinkError
         If a service refuses or does not answer.
     """
-    trials = []
+    exhibits = []
     async with (
         ReceiverClient.connect(services.receiver) as receiver,
         httpx.AsyncClient(base_url=services.sender, timeout=60) as sender,
@@ -103,8 +103,8 @@ async def run_demo(
             for label, channel in (("clean", "clean"), ("noisy", paper_noise(surface))):
                 progress(f"{name}, {label} channel")
                 arrived.append(await _transmit(receiver, sender, surface, truth, label, channel))
-            trials.append(Trial(surface, truth, *arrived))
-    return trials
+            exhibits.append(Exhibit(surface, truth, *arrived))
+    return exhibits
 
 
 def steps(names: tuple[str, ...] = DEMO_SURFACES) -> int:

@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 
 from common.metrics import nrmse
 from common.surface import FloatArray, HeightGrid
-from simulator.demo import Trial
+from simulator.demo import Exhibit
 
 HEIGHTS = "viridis"
 ERRORS = "RdBu_r"
@@ -54,9 +54,9 @@ def relief(ax: Axes, grid: HeightGrid, z: FloatArray, norm: Normalize) -> None:
     ax.contour(grid.x, grid.y, z, levels=levels, colors="white", linewidths=0.5, alpha=0.55)
 
 
-def trial_picture(trial: Trial) -> Figure:
+def exhibit_picture(exhibit: Exhibit) -> Figure:
     """Original, features and centres, network clean and noisy, traditional noisy, error map."""
-    truth, surface = trial.truth, trial.surface
+    truth, surface = exhibit.truth, exhibit.surface
     norm = Normalize(float(truth.z.min()), float(truth.z.max()))
     figure = Figure(figsize=(12.6, 8.6), layout="constrained", facecolor="white")
     axes = figure.subplots(2, 3, sharex=True, sharey=True)
@@ -65,22 +65,22 @@ def trial_picture(trial: Trial) -> Figure:
     relief(axes[0, 0], truth, truth.z, norm)
     _title(axes[0, 0], "Original", f"cloud of {surface.points:,} points")
 
-    _features(axes[0, 1], trial, norm)
+    _features(axes[0, 1], exhibit, norm)
     _title(
         axes[0, 1],
-        "Feature points and centres" if _few(trial) else "Feature points",
-        f"{len(trial.clean.features):,} points, {trial.clean.sent_bytes:,} bytes on the air",
+        "Feature points and centres" if _few(exhibit) else "Feature points",
+        f"{len(exhibit.clean.features):,} points, {exhibit.clean.sent_bytes:,} bytes on the air",
     )
 
     for ax, name, arrived, z in (
-        (axes[0, 2], "Network, clean channel", trial.clean, trial.clean.grid.z),
-        (axes[1, 0], "Network, noisy channel", trial.noisy, trial.noisy.grid.z),
-        (axes[1, 1], "Traditional (cubic), noisy channel", trial.noisy, trial.noisy.cubic),
+        (axes[0, 2], "Network, clean channel", exhibit.clean, exhibit.clean.grid.z),
+        (axes[1, 0], "Network, noisy channel", exhibit.noisy, exhibit.noisy.grid.z),
+        (axes[1, 1], "Traditional (cubic), noisy channel", exhibit.noisy, exhibit.noisy.cubic),
     ):
         relief(ax, arrived.grid, z, norm)
         _title(ax, name, f"NRMSE {nrmse(truth.z, z):.4f}")
 
-    error = trial.noisy.grid.z - truth.z
+    error = exhibit.noisy.grid.z - truth.z
     bound = float(np.quantile(np.abs(error), 0.995)) or 1.0
     shown = axes[1, 2].imshow(
         error,
@@ -104,45 +104,45 @@ def trial_picture(trial: Trial) -> Figure:
         ax.set_xlabel(f"x{f' ({surface.units.xy})' if surface.units.xy else ''}")
     for ax in axes[:, 0]:
         ax.set_ylabel(f"y{f' ({surface.units.xy})' if surface.units.xy else ''}")
-    rings = "   ·   rings: centres of the network" if _few(trial) else ""
+    rings = "   ·   rings: centres of the network" if _few(exhibit) else ""
     figure.supxlabel(
-        f"noisy channel: {trial.noisy.channel}   ·   dots: feature points{rings}",
+        f"noisy channel: {exhibit.noisy.channel}   ·   dots: feature points{rings}",
         fontsize=8,
         color="#555555",
     )
     return figure
 
 
-def write_pictures(trials: Iterable[Trial], folder: Path) -> list[Path]:
+def write_pictures(exhibits: Iterable[Exhibit], folder: Path) -> list[Path]:
     """One picture a surface, as PNG, into a folder that is there; the paths."""
     paths = []
-    for trial in trials:
-        paths.append(folder / f"{trial.surface.name}.png")
-        trial_picture(trial).savefig(paths[-1], dpi=140)
+    for exhibit in exhibits:
+        paths.append(folder / f"{exhibit.surface.name}.png")
+        exhibit_picture(exhibit).savefig(paths[-1], dpi=140)
     return paths
 
 
-def _few(trial: Trial) -> bool:
-    return len(trial.clean.features) <= FEW
+def _few(exhibit: Exhibit) -> bool:
+    return len(exhibit.clean.features) <= FEW
 
 
-def _features(ax: Axes, trial: Trial, norm: Normalize) -> None:
-    relief(ax, trial.truth, trial.truth.z, norm)
-    few = _few(trial)
+def _features(ax: Axes, exhibit: Exhibit, norm: Normalize) -> None:
+    relief(ax, exhibit.truth, exhibit.truth.z, norm)
+    few = _few(exhibit)
     size = 22.0 if few else 1.2
-    points = trial.clean.features
+    points = exhibit.clean.features
     ax.scatter(points[:, 0], points[:, 1], s=size, c="white", edgecolors=INK, linewidths=0.7 if few else 0.0, zorder=3)
     if few:
-        centers = trial.clean.centers
+        centers = exhibit.clean.centers
         ax.scatter(centers[:, 0], centers[:, 1], s=70, facecolors="none", edgecolors=MARK, linewidths=0.9, zorder=2)
-    if trial.surface.gap * 40 > trial.truth.region.width:
-        region, gap = trial.truth.region, trial.surface.gap
+    if exhibit.surface.gap * 40 > exhibit.truth.region.width:
+        region, gap = exhibit.truth.region, exhibit.surface.gap
         for x in np.arange(region.x_min + gap, region.x_max - gap / 2, gap):
             ax.axvline(x, color="white", linewidth=0.6, alpha=0.5)
         for y in np.arange(region.y_min + gap, region.y_max - gap / 2, gap):
             ax.axhline(y, color="white", linewidth=0.6, alpha=0.5)
-    ax.set_xlim(trial.truth.region.x_min, trial.truth.region.x_max)
-    ax.set_ylim(trial.truth.region.y_min, trial.truth.region.y_max)
+    ax.set_xlim(exhibit.truth.region.x_min, exhibit.truth.region.x_max)
+    ax.set_ylim(exhibit.truth.region.y_min, exhibit.truth.region.y_max)
 
 
 def _title(ax: Axes, name: str, detail: str) -> None:

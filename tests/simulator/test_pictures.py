@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sender.surfaces import SURFACES
-from simulator.demo import Arrived, Trial
-from simulator.pictures import trial_picture
+from simulator.demo import Arrived, Exhibit
+from simulator.pictures import exhibit_picture
 
 
 @pytest.mark.parametrize(("points", "marked"), [(50, True), (900, False)])
@@ -26,7 +26,7 @@ def test_centres_are_explained_where_they_are_drawn(points: int, marked: bool) -
         seconds=1.0,
         id="a",
     )
-    figure = trial_picture(Trial(surface, truth, arrived, arrived))
+    figure = exhibit_picture(Exhibit(surface, truth, arrived, arrived))
     assert ("rings" in figure.get_supxlabel()) is marked
     title = figure.axes[1].get_title(loc="center")
     assert ("centres" in title) is marked
