@@ -24,7 +24,7 @@ from common.version import product_version
 from common.wire import PacketDecoder, Reassembly, WireOptions, encode
 from sender.features import linear_heights, merge_repeated
 from sender.readers import read_points
-from sender.surfaces import GriddedSurface, find_surface
+from sender.surfaces import GriddedSurface, Surface, find_surface
 from simulator.campaign import CodecSettings, FeatureSettings, SurfaceChoice, Trial
 from simulator.choice import choose_features
 from simulator.codecs import Message, best
@@ -106,7 +106,7 @@ def direct(
 
 @dataclass(frozen=True)
 class Source:
-    """Where clouds come from: a named surface or a file."""
+    """Where clouds come from: a named surface, a field or a file."""
 
     region: Region
     noise: float
@@ -128,19 +128,13 @@ def source_of(choice: SurfaceChoice) -> Source:
 
 def _source(choice: SurfaceChoice) -> Source:
     if choice.field is not None:
-        return _field_source(choice.field)
+        name = choice.field
+        nodes = GriddedSurface(name, name, lambda: field(name), pieces=1)
+        return _of_surface(nodes, gap=None, nodes=nodes.points)
     if choice.file is None:
         surface = find_surface(str(choice.name))
-        nodes = surface.points if isinstance(surface, GriddedSurface) else None
-        return Source(
-            region=surface.region,
-            noise=surface.noise,
-            points=surface.points,
-            gap=surface.gap,
-            nodes=nodes,
-            truth=surface.grid,
-            sample=surface.sample,
-        )
+        ends = isinstance(surface, GriddedSurface)
+        return _of_surface(surface, gap=surface.gap, nodes=surface.points if ends else None)
     cloud = merge_repeated(read_points(choice.file, choice.columns), "mean")
     region = Region.of(cloud)
 
@@ -165,15 +159,13 @@ def _source(choice: SurfaceChoice) -> Source:
     )
 
 
-def _field_source(name: str) -> Source:
-    """A field on which raster codecs are measured; its nodes are the cloud."""
-    surface = GriddedSurface(name, name, lambda: field(name), pieces=1)
+def _of_surface(surface: Surface, *, gap: float | None, nodes: int | None) -> Source:
     return Source(
         region=surface.region,
         noise=surface.noise,
         points=surface.points,
-        gap=None,
-        nodes=surface.points,
+        gap=gap,
+        nodes=nodes,
         truth=surface.grid,
         sample=surface.sample,
     )
