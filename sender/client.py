@@ -310,7 +310,7 @@ class ReceiverClient:
             try:
                 sign = await self.http.get("/health/live", timeout=READ_TIMEOUT)
                 owed = owed + 1 if sign.is_server_error else 0
-            except httpx.TransportError:
+            except httpx.HTTPError:
                 owed += 1
         scope.cancel()
 

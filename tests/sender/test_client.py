@@ -151,7 +151,12 @@ class SlowReceiver:
         return anyio.run(go)
 
 
-OWED: list[httpx.Response | Exception] = [httpx.ReadTimeout(""), httpx.ConnectTimeout(""), httpx.Response(502)]
+OWED: list[httpx.Response | Exception] = [
+    httpx.ReadTimeout(""),
+    httpx.ConnectTimeout(""),
+    httpx.DecodingError(""),
+    httpx.Response(502),
+]
 
 
 def test_a_slow_link_is_waited_for_while_the_receiver_is_alive() -> None:
