@@ -108,11 +108,12 @@ def decode_packets(written: Sequence[Written], effort: Effort) -> list[Packet | 
         zip(fresh, compact.read_steps(*_columns(chosen), [each.header for each in chosen], effort), strict=True)
     )
     for indices in alike.values():
+        if first := [i for i in indices if i in steps]:
+            located = _located([steps[i] for i in first], written[first[0]].header)
+            effort.known.update(zip((keys[i] for i in first), located, strict=True))
+    for indices in alike.values():
         header = written[indices[0]].header
         if header.form in COMPACTS:
-            first = [i for i in indices if i in steps]
-            located = _located([steps[i] for i in first], header)
-            effort.known.update(zip((keys[i] for i in first), located, strict=True))
             parts = [effort.known[keys[i]] for i in indices]
         else:
             parts = _read(*_columns([written[i] for i in indices]), header)
