@@ -227,7 +227,7 @@ def test_what_fails_for_everyone_is_named_and_not_counted() -> None:
     assert "loses everything sent: Peaks noise 50 %" in html
 
 
-def test_a_spread_is_the_median_and_the_quartiles() -> None:
+def test_quartiles_come_with_the_median() -> None:
     assert Quartiles.of(range(9)) == Quartiles(4.0, 2.0, 6.0, 9, 0)
 
 
