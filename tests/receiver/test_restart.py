@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 import sqlite3
 import threading
 from collections.abc import Callable
@@ -15,6 +14,7 @@ from common.errors import StoreError
 from common.network.model import NetworkSettings, SurfaceModel
 from common.surface import FeatureSet
 from common.wire import WireOptions, encode
+from receiver.app import _events
 from receiver.store import Store
 from tests.receiver.conftest import Running, packets_of
 
@@ -201,20 +201,11 @@ async def test_a_surface_that_cannot_be_resumed_has_failed_until_its_packets_com
 
     monkeypatch.setattr(Store, "arrivals", failing)
     async with running() as client:
-        async with anyio.create_task_group() as group:
-
-            async def follow() -> None:
-                with anyio.fail_after(10):
-                    events = (await client.get("/v1/surfaces/hills/events")).text
-                assert [json.loads(line.removeprefix("data: "))["state"] for line in events.splitlines()[1::3]] == [
-                    "training",
-                    "failed",
-                ]
-
-            group.start_soon(follow)
-            while not client.app.state.surfaces.changes._subscriptions:
-                await anyio.sleep(0.005)
+        events = _events(client.app.state.surfaces, "hills")
+        with anyio.fail_after(10):
+            assert (await anext(events)).data["state"] == "training"
             tried.set()
+            assert [event.data["state"] async for event in events] == ["failed"]
         surface = (await client.get("/v1/surfaces/hills?wait=60")).json()
         assert (surface["state"], surface["error"]["type"]) == ("failed", "/problems/store")
         assert "disk I/O error; send its packets again" in surface["error"]["detail"]
