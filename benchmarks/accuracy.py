@@ -18,13 +18,13 @@ import numpy as np
 from scipy.interpolate import RBFInterpolator, griddata
 
 from benchmarks import terrain
-from benchmarks.network import timed
+from benchmarks.network import fractal, timed
 from common.metrics import nrmse, rmse
 from common.network import NetworkWarning, RBFNetwork
 from common.network.kernel import ladder_spreads, mean_spacing
 from common.network.partition import Partition
 from common.network.selection import SMOOTHINGS, TRUST, Samples, Spectra, families, rounding_floor, score
-from common.surface import FloatArray
+from common.surface import BoolArray, FloatArray
 from sender.features import extract_features
 from sender.surfaces import SURFACES
 
@@ -101,7 +101,7 @@ def _by_criterion(X: FloatArray, y: FloatArray, Q: FloatArray, z: FloatArray) ->
     kernels = [kind.kernel(spreads) for kind in families(spreads, extent)]
     smoothings = SMOOTHINGS[rounding_floor(len(X)) <= SMOOTHINGS]
     spectra = Spectra(np.array([kernel.gram(samples.X) for kernel in kernels]), samples)
-    restricted, density, _ = spectra.criteria(smoothings)
+    restricted, density, _, _ = spectra.criteria(smoothings)
     places = (Q - origin) / unit
     crosses = [kernel.gram(places, samples.X) for kernel in kernels]
 
@@ -287,6 +287,47 @@ def coverage(seeds: int) -> None:
     print("  columns, clean and noisy each: " + ", ".join(map(str, sizes)) + " points")
 
 
+UNEVEN: dict[str, Callable[[FloatArray, FloatArray], FloatArray | BoolArray]] = {
+    "everywhere": lambda x, _y: np.ones_like(x),
+    "tracks": lambda x, _y: np.abs((12 * x + 0.5) % 1 - 0.5) < 0.02,
+    "crossing": lambda x, y: (np.abs((8 * x + np.sin(3 * y)) % 1 - 0.5) < 0.01) | (np.abs(3 * y % 1 - 0.5) < 0.006),
+    "stripes": lambda x, _y: 6 * x % 1 < 0.5,
+    "hole": lambda x, y: np.hypot(x - 0.5, y - 0.5) > 0.2,
+    "thinning": lambda x, _y: np.exp(-6 * x),
+}
+"""How likely a place of the unit square is to be measured."""
+
+SHAPES: dict[str, Callable[[FloatArray, FloatArray], FloatArray]] = {
+    "sines": lambda x, y: np.sin(8 * x) + np.sin(8 * y),
+    "ridge": lambda x, y: np.abs(x - 0.5 - 0.3 * (y - 0.5)),
+    "cliff": lambda x, y: np.tanh(80 * (x - 0.5 - 0.08 * np.sin(8 * y))),
+    "terrain": lambda x, y: fractal()[tuple(np.rint(2047 * axis).astype(int) for axis in (y, x))],
+}
+
+
+def uneven(seeds: int) -> None:
+    """Points along tracks, in stripes, around a hole, ever thinner: ratio to the best of two splines."""
+    print("Uneven points: RMSE over the better of thin plate (50 neighbours) and linear; median (greatest)")
+    for name, shape in SHAPES.items():
+        for n in (400, 1500, 6000):
+            figures = []
+            for likely in UNEVEN.values():
+                ratios = []
+                for seed in range(min(seeds, 5)):
+                    rng = np.random.default_rng(seed)
+                    X = np.empty((0, 2))
+                    while len(X) < n:
+                        drawn = rng.random((4 * n, 2))
+                        X = np.vstack([X, drawn[rng.random(4 * n) < likely(*drawn.T)]])[:n]
+                    Q, y = rng.random((2000, 2)), shape(*X.T)
+                    z = shape(*Q.T)
+                    rivals = (RBFInterpolator(X, y, neighbors=50)(Q), linear(X, y, Q))
+                    ratios.append(rmse(z, ours(X, y, Q)) / min(rmse(z, heights) for heights in rivals))
+                figures.append(f"{np.median(ratios):6.2f} ({max(ratios):5.2f})")
+            print(f"  {name:8s} {n:5d} " + " ".join(figures), flush=True)
+    print("  columns: " + ", ".join(UNEVEN))
+
+
 def merging(seeds: int) -> None:
     """Many noisy points of smooth surfaces: the network beside its patches alone."""
     print("Many noisy points: RMSE over the noise's deviation, of the patches alone and of the network, and seconds")
@@ -334,6 +375,7 @@ TABLES: dict[str, Callable[[int], None]] = {
     "wild": wild,
     "terrain": real,
     "coverage": coverage,
+    "uneven": uneven,
     "merging": merging,
     "exploded": exploded,
 }

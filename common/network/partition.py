@@ -28,7 +28,7 @@ from common.network.dense import Dense
 from common.network.kernel import Kernel
 from common.network.local import CACHED, FAR, Levels
 from common.network.quadtree import DEEPEST, Quadtree
-from common.network.selection import TINY, Kind, Samples, Spectra, rounding_floor
+from common.network.selection import TINY, Kind, Samples, Spectra, believed, rounding_floor
 from common.network.threads import in_order, parallel
 from common.surface import BoolArray, FloatArray, IntArray
 
@@ -98,11 +98,26 @@ BYTES_A_POINT = 400
 LOUD = 30.0
 """Times the usual amplitude, over the deviation of the values, that a kernel has in a patch that it does not suit."""
 
-NARROWER = (1.0, 2.0, 4.0, 8.0)
-"""Parts of their spreads that the kernels of such a patch are made of."""
+ASTRAY = 1.5
+"""Half ranges about the middle of the values within which a surface is not doubted."""
 
-CALMING = 0.1
-"""Least smoothing of such a patch: its left-out points ask for less, and between the points it would still explode."""
+PROBES = 2000
+"""Places where that is looked at."""
+
+CALM = 1.0
+"""Exponent H up to which a ladder explodes nowhere."""
+
+FAR_LESS = 16.0
+"""Part of what the ladder leaves at clean points, as a sum of squares, that a kernel must not exceed to stay."""
+
+CLEARLY_LESS = 0.8
+"""The same where the points are noisy."""
+
+CLEAN = 1e-6
+"""Smoothing up to which points are taken for clean."""
+
+DOUBTFUL = 2.0
+"""Sum of squares, over the least of a ladder, beyond which a kernel is not believed; patches have many points."""
 
 FLAT = 1e-12
 """Deviation, in that of all values, below which the values of a patch are one value and rounding."""
@@ -221,7 +236,12 @@ class Partition:
         made.kernel, made.smoothing = kernel, np.full(patches, level)
         made._solve(values, told)
         if spread == smoothing == "auto":
-            made._mend(values)
+            loud = made._loud(values)
+            if len(loud) or made._astray(values):
+                kernel, level = made._tempered(loud, values)
+                if kernel is not made.kernel:
+                    made.kernel, made.smoothing = kernel, np.full(patches, level)
+                    made._solve(values, told)
         made._calibrate(values)
         return made
 
@@ -292,37 +312,44 @@ class Partition:
         usual = np.flatnonzero((counts >= min(40, counts.max())) & (counts <= 4 * np.median(counts)))
         drawn = np.random.default_rng(0).permutation(usual if len(usual) else np.arange(len(self)))
         tick("selection", 0.0)
-        total, likely, asked = np.zeros((len(kernels), len(smoothings))), np.arange(len(kernels)), 0
+        total, likely, asked = np.zeros((2, len(kernels), len(smoothings))), np.arange(len(kernels)), 0
+        ladders = likely < (len(ROUGHNESS) if spread == "auto" else 0)
         most = max(FEW, min(MORE, len(self) // 4))
         for until, kept in (*ROUNDS, (most, 1)):
-            total[likely] += self._summed_scores(drawn[asked:until], values, [kernels[i] for i in likely], smoothings)
-            likely, asked = likely[np.argsort(total[likely].min(axis=1), kind="stable")[:kept]], until
+            total[:, likely] += self._summed(drawn[asked:until], values, [kernels[i] for i in likely], smoothings)
+            scores = believed(total[0, likely], total[1, likely], ladders[likely], DOUBTFUL)
+            ordered = likely[np.argsort(scores.min(axis=1), kind="stable")]
+            best = float(smoothings[int(np.argmin(scores[likely == ordered[0]]))])
+            # One ladder stays, to hold the others against.
+            ladder = ordered[ladders[ordered]][:1]
+            likely, asked = np.append(ordered[:kept], np.setdiff1d(ladder, ordered[:kept])), until
             tick("selection", asked / most)
-        return kernels[likely[0]], float(smoothings[int(np.argmin(total[likely[0]]))])
+        return kernels[likely[0]], best
 
-    def _summed_scores(
+    def _summed(
         self, patches: IntArray, values: FloatArray, kernels: list[Kernel], smoothings: FloatArray
     ) -> FloatArray:
         """The `_scores` of several patches, added up."""
         found = parallel(lambda patch: self._scores(int(patch), values, kernels, smoothings), patches)
-        return np.sum(found, axis=0) if found else np.zeros((len(kernels), len(smoothings)))
+        return np.sum(found, axis=0) if found else np.zeros((2, len(kernels), len(smoothings)))
 
     def _scores(self, patch: int, values: FloatArray, kernels: list[Kernel], smoothings: FloatArray) -> FloatArray:
-        """How badly each kernel and smoothing foretells the points of one patch, shape (kernels, smoothings).
+        """How badly each kernel and smoothing foretells the points of one patch, shape (2, kernels, smoothings).
 
         The leave-one-out density of `selection` counts by the deviation of the patch's values, since an error is
-        measured in their units wherever it is made.
+        measured in their units wherever it is made; beside it the sum of the squares.
         """
         rows = self.members[self.starts[patch] : self.starts[patch + 1]]
         y = values[rows]
         deviation = float(np.sqrt(y.var(axis=0).mean()))
         if len(rows) < 4 or not deviation:
-            return np.zeros((len(kernels), len(smoothings)))
+            return np.zeros((2, len(kernels), len(smoothings)))
         points = self.u[rows] / self.spacings[patch]
         points -= points.mean(axis=0)
         grams = np.concatenate([Levels(kernel).matrix(points[None], points[None]) for kernel in kernels])
         samples = Samples(points, (y - y.mean(axis=0)) / deviation, self.weights[rows])
-        return deviation * Spectra(grams, samples).criteria(smoothings)[1]
+        _, density, square, _ = Spectra(grams, samples).criteria(smoothings)
+        return np.stack([deviation * density, deviation**2 * len(rows) * square])
 
     def _solve(self, values: FloatArray, tick: Tick) -> None:
         """Coefficients, bias and amplitude of every patch."""
@@ -331,8 +358,8 @@ class Partition:
         self.bias, self.amplitude = np.zeros((len(self), outputs)), np.zeros((len(self), outputs))
         self._solve_patches(np.arange(len(self)), values, tick)
 
-    def _mend(self, values: FloatArray) -> None:
-        """A narrower kernel and a smoothing of their own for patches that what suits the others makes explode.
+    def _loud(self, values: FloatArray) -> IntArray:
+        """Patches that the kernel of the others makes explode.
 
         So does a cliff in a smooth surface: it takes a wide Gaussian an amplitude far beyond the heights.
         """
@@ -342,17 +369,34 @@ class Partition:
         deviations = np.sqrt(np.mean(np.add.reduceat(np.square(away, out=away), first) / counts, axis=1))
         alive = np.flatnonzero(deviations > FLAT)
         if not len(alive):
-            return
+            return alive
         loudness = np.sqrt(np.mean(self.amplitude[alive] ** 2, axis=1)) / deviations[alive]
-        loud = alive[loudness > LOUD * np.median(loudness)]
-        kernels = [Kernel(self.kernel.spreads / part, self.kernel.amplitudes) for part in NARROWER]
-        smoothings = SMOOTHINGS[CALMING <= SMOOTHINGS]
-        found = parallel(lambda patch: self._scores(int(patch), values, kernels, smoothings), loud)
-        for patch, scores in zip(loud, found, strict=True):
-            kernel, level = np.unravel_index(int(np.argmin(scores)), scores.shape)
-            self.spacings[patch] /= NARROWER[kernel]
-            self.smoothing[patch] = smoothings[level]
-        self._solve_patches(loud, values, lambda *_: None)
+        return np.asarray(alive[loudness > LOUD * np.median(loudness)])
+
+    def _astray(self, values: FloatArray) -> bool:
+        """Whether the surface leaves the range of the values by more than `ASTRAY` anywhere in their box."""
+        frame = self.cover.frame
+        places = frame.low + frame.side * frame.extent * np.random.default_rng(0).random((PROBES, 2))
+        middle = (values.max(axis=0) + values.min(axis=0)) / 2
+        return bool(np.any(np.abs(self.predict(places) - middle) > ASTRAY * np.ptp(values, axis=0) / 2))
+
+    def _tempered(self, loud: IntArray, values: FloatArray) -> tuple[Kernel, float]:
+        """The calm ladder, and its smoothing, that leaves least at the points of the loud patches and of the others.
+
+        The kernel that is there stays where it leaves `FAR_LESS`, since it errs more between the points, where nothing
+        tells; where noise hides what a kernel leaves, unless the ladder leaves clearly less.
+        """
+        ladders = [kernel for kernel, roughness in zip(_kernels(), ROUGHNESS, strict=False) if roughness <= CALM]
+        kernels = [self.kernel, *ladders]
+        smoothings = SMOOTHINGS[rounding_floor(int(np.diff(self.starts).max())) <= SMOOTHINGS]
+        rng, total = np.random.default_rng(0), np.zeros((len(kernels), len(smoothings)))
+        for patches, most in ((loud, MORE), (np.setdiff1d(np.arange(len(self)), loud), MORE)):
+            asked = rng.permutation(patches)[:most]
+            if len(asked):
+                total += len(patches) / len(asked) * self._summed(asked, values, kernels, smoothings)[1]
+        total[0] *= FAR_LESS if self.smoothing.max() < CLEAN else CLEARLY_LESS
+        kernel, level = np.unravel_index(int(np.argmin(total)), total.shape)
+        return kernels[kernel], float(smoothings[level])
 
     def _solve_patches(self, patches: IntArray, values: FloatArray, tick: Tick) -> None:
         """Coefficients, bias and amplitude of some patches, those of as many points together."""

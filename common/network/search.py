@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -19,6 +20,7 @@ from common.network.selection import (
     BEHIND,
     ROUGHNESS,
     TINY,
+    WORSE,
     Candidate,
     Family,
     Fit,
@@ -26,7 +28,9 @@ from common.network.selection import (
     Samples,
     Scored,
     Solution,
+    are_ladders,
     average,
+    believed,
     combine,
     rounding_floor,
     score,
@@ -86,6 +90,9 @@ FARTHEST = 2.0
 WORTHLESS = 8.0
 """Score that a place must be expected to lie behind, and it is not tried."""
 
+KNOWN = 1e-6
+"""Mean square of the leave-one-out residuals up to which no kernel is doubted."""
+
 CLEAN = 1e-6
 """Smoothing below which the points may have no noise at all, and the least smoothing is tried at once."""
 
@@ -116,23 +123,26 @@ def fit(
     endless = [kind for kind in kinds if kind.reach == np.inf]
     ranked = average(few, endless, spreads, smoothings, lambda share: tick(0.2 * share)).scored
     starts = _starts(ranked, BEHIND)
+    ladder = next((start for start in _starts(ranked, np.inf) if start.kind.family == "ladder"), None)
     if n > CLIMBED and not quick:
         anywhere = _is_smooth(starts[0], mean_spacing(few.X))
         near = samples.take(np.sort(order[:CLIMBED]) if anywhere else _neighbourhoods(samples.X, order))
         search = _Search(near, spreads, TRIALS, lambda share: tick(0.2 + 0.2 * share))
-        found = search.climb(starts, free)
+        found = search.climb(starts, free, ladder)
         # The closer the points, the rougher a surface may look.
         rough = [start for start in _starts(ranked, FAR_BEHIND) if start.kind.family == "ladder"]
         if rough and not anywhere and found.scored.best.kind.family != "ladder":
-            search.budget, search.tick = search.budget + TRIALS, lambda share: tick(0.4 + 0.2 * share)
+            search.budget, search.done = search.budget + TRIALS, 0.0
+            search.tick = lambda share: tick(0.4 + 0.2 * share)
             found = search.climb(rough, free)
         starts = _finalists(found.scored)
     budget = min(TRIALS, round(TRIALS * (AFFORDED / n) ** 3))
     if quick:
-        budget = 1
+        budget, ladder = 1, None
     elif budget < ROUND:
         budget = len(starts)
-    return _Search(samples, spreads, budget, lambda share: tick(0.6 + 0.4 * share)).climb(starts, free)
+    search = _Search(samples, spreads, budget, lambda share: tick(0.6 + 0.4 * share))
+    return search.climb(starts, free, ladder)
 
 
 def _neighbourhoods(X: FloatArray, order: IntArray) -> IntArray:
@@ -153,8 +163,9 @@ class _Search:
         self.r2 = squared_distances(samples.X)
         self.twins = twins(samples.X)
         self.lowest = round(float(np.log(rounding_floor(len(samples))) / _LOG_STEP), 6)
-        self.tried: dict[_Place, tuple[float, float, float, Solution, float]] = {}
+        self.tried: dict[_Place, _Trial] = {}
         self.rooms: list[FloatArray] = []
+        self.done = 0.0
 
     def scores(self, places: Sequence[_Place]) -> dict[_Place, float]:
         """Of each place, infinite where the budget is spent."""
@@ -162,11 +173,13 @@ class _Search:
         fresh = fresh[: self.budget - len(self.tried)]
         found = parallel(self._solved, fresh)
         self.tried |= zip(fresh, found, strict=True)
-        self.tick(len(self.tried) / self.budget)
-        return {place: self.tried[place][0] if place in self.tried else np.inf for place in places}
+        # A budget may grow on the way.
+        self.done = max(self.done, len(self.tried) / self.budget)
+        self.tick(self.done)
+        return {place: self.tried[place].score if place in self.tried else np.inf for place in places}
 
-    def _solved(self, place: _Place) -> tuple[float, float, float, Solution, float]:
-        """Score, signal variance, restricted nll, network and smoothing of one candidate on all samples."""
+    def _solved(self, place: _Place) -> _Trial:
+        """One candidate on all samples."""
         samples, n, candidate = self.samples, len(self.samples), place.candidate
         try:
             room = self.rooms.pop()
@@ -182,10 +195,30 @@ class _Search:
         own = max(float(np.mean(apart**2 / variances[:, None])), TINY)
         left_out = 0.5 * samples.y.shape[1] * float(n * np.log(own) + np.log(variances).sum())
         value = float(score(n, np.array(left_out), np.array(dense.smoothing)))
-        return value, variance, restricted, Solution(coefficients, bias, residuals, spread), dense.smoothing
+        square = float(np.mean(apart**2))
+        solution = Solution(coefficients, bias, residuals, spread)
+        return _Trial(value, square, variance, restricted, solution, dense.smoothing)
 
-    def climb(self, starts: Sequence[Candidate], free: _Free) -> Fit:
-        """From the best of the starts to better neighbours, ever closer ones; the average of all that were tried."""
+    def climb(self, starts: Sequence[Candidate], free: _Free, ladder: Candidate | None = None) -> Fit:
+        """The average of all that were tried on the way from the best of the starts to the best there is.
+
+        Where that leaves more at the points, each without itself, than noise can, the ladder is tried, too, and the way
+        from there where it is believed more.
+        """
+        self._climb(starts, free)
+        trial = self.tried[self._best()]
+        unknown = trial.square > max(KNOWN, WORSE * trial.smoothing * trial.variance)
+        if ladder is not None and unknown and not any(place.family == "ladder" for place in self.tried):
+            budget, self.budget = self.budget, len(self.tried) + 1
+            place = self._moved(_Place.of(ladder), 1, 0.0)
+            self.scores([place])
+            if self._best() == place:
+                self.budget += budget
+                self._climb([ladder], free)
+        return self._averaged()
+
+    def _climb(self, starts: Sequence[Candidate], free: _Free) -> None:
+        """From the best of the starts to better neighbours, ever closer ones."""
         places = [self._moved(_Place.of(start), 1, 0.0) for start in starts]
         if free.smoothing and starts[0].smoothing < CLEAN and self.budget > len(starts):
             places = list(dict.fromkeys([places[0], self._moved(places[0], 1, -np.inf), *places[1:]]))
@@ -198,7 +231,6 @@ class _Search:
                 near = best.within(before, step)
             if promised < PROMISED:
                 break
-        return self._averaged()
 
     def _round(self, middle: _Place, step: float, axes: Sequence[int]) -> tuple[_Place, list[int], float]:
         """The best place about the middle, the axes that are not done with, and what half as long a step may gain.
@@ -239,16 +271,35 @@ class _Search:
             at[0] = min(max(at[0], 0.0), len(ROUGHNESS) - 1.0)
         return _Place(place.family, (at[0], max(at[1], self.lowest)))
 
-    def _averaged(self) -> Fit:
+    def _scored(self) -> Scored:
+        """All that were tried."""
         places = list(self.tried)
         # Rounding may have asked for more smoothing than the candidate's.
-        candidates = [place.candidate._replace(smoothing=self.tried[place][4]) for place in places]
-        scored = Scored(candidates, *(np.array([self.tried[p][i] for p in places]) for i in range(3)))
-        parts = [(p, share) for p, share in zip(places, scored.shares.tolist(), strict=True) if share]
-        solutions = [self.tried[p][3].scaled(share) for p, share in parts]
+        candidates = [place.candidate._replace(smoothing=self.tried[place].smoothing) for place in places]
+        scores, squares, *others = (np.array([self.tried[place][i] for place in places]) for i in range(4))
+        return Scored(candidates, believed(scores, squares, are_ladders([c.kind for c in candidates])), *others)
+
+    def _best(self) -> _Place:
+        return list(self.tried)[int(np.argmin(self._scored().scores))]
+
+    def _averaged(self) -> Fit:
+        scored = self._scored()
+        parts = [(p, share) for p, share in zip(self.tried, scored.shares.tolist(), strict=True) if share]
+        solutions = [self.tried[p].solution.scaled(share) for p, share in parts]
         kernels = [p.candidate.kind.kernel(self.spreads) for p, _ in parts]
-        alone = self.tried[places[int(np.argmin(scored.scores))]][3].spread
+        alone = self.tried[self._best()].solution.spread
         return combine(scored, alone, kernels, solutions, self.spreads, self.samples.weights)
+
+
+class _Trial(NamedTuple):
+    """What `Scored` has of a candidate, its network, and the smoothing that rounding allowed."""
+
+    score: float
+    square: float
+    variance: float
+    restricted: float
+    solution: Solution
+    smoothing: float
 
 
 def _least(scores: dict[_Place, float]) -> _Place:

@@ -40,7 +40,7 @@ from scipy.spatial import KDTree
 from common.errors import ParameterError, TrainingError
 from common.network.kernel import Kernel, level_matrices, mean_spacing, squared_distances
 from common.network.threads import parallel
-from common.surface import FloatArray, IntArray
+from common.surface import BoolArray, FloatArray, IntArray
 
 Family: TypeAlias = Literal["single", "multiquadric", "ladder"]
 
@@ -75,6 +75,9 @@ FEW = 30
 
 NEGLIGIBLE = 0.03
 """Share of the heaviest weight that is taken off every weight, so that those of less fade out of the average."""
+
+WORSE = 4.0
+"""Mean square of the leave-one-out residuals, over the least of a ladder, beyond which a candidate is not believed."""
 
 TINY = float(np.finfo(np.float64).tiny)
 CLOSE = 0.1
@@ -247,10 +250,11 @@ class Spectra:
         self.y = turned @ (self.root[:, None] * samples.y)
         self.one = turned @ self.root
 
-    def criteria(self, smoothings: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Restricted nll, leave-one-out nll and signal variance, shape (c, m) each, of m smoothings.
+    def criteria(self, smoothings: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """What tells of m smoothings, shape (c, m) each.
 
-        The leave-one-out density has a variance of its own, the one that suits its residuals best.
+        Restricted nll, leave-one-out nll, mean square of the leave-one-out residuals, signal variance. The
+        leave-one-out density has a variance of its own, the one that suits its residuals best.
         """
         n, outputs = self.samples.y.shape
         inverse = 1 / (self.values[:, :, None] + smoothings)
@@ -272,7 +276,8 @@ class Spectra:
         squares = np.clip(np.square(solved).sum(axis=1) / diagonal, TINY, None)
         own = squares.mean(axis=1) / outputs
         spread = np.log(diagonal).sum(axis=1) + np.log(self.samples.weights).sum()
-        return restricted, 0.5 * outputs * (n * np.log(own) - spread), variance
+        square = ((squares / diagonal) / self.samples.weights[:, None]).mean(axis=1) / outputs
+        return restricted, 0.5 * outputs * (n * np.log(own) - spread), square, variance
 
     def _projected(
         self, inverse: FloatArray, one_one: FloatArray, one_y: FloatArray, along_one: FloatArray
@@ -366,6 +371,20 @@ def score(n: int, leave_one_out: FloatArray, smoothings: FloatArray) -> FloatArr
     return TRUST * leave_one_out - min(1.0, n / FEW) * np.log(np.clip(smoothings, *LIKELY))
 
 
+def believed(scores: FloatArray, squares: FloatArray, ladders: BoolArray, worse: float = WORSE) -> FloatArray:
+    """Scores (c, ...), infinite where the mean square is `worse` than the least of a ladder; `ladders` (c,).
+
+    Where a surface is smooth almost everywhere, a smooth kernel foretells most points so well that the density forgives
+    it what it does at a ridge, a cliff or in a gap. A ladder errs there no more than it has to.
+    """
+    return np.where(squares > worse * squares[ladders].min(initial=np.inf), np.inf, scores)
+
+
+def are_ladders(kinds: Sequence[Kind]) -> BoolArray:
+    """Which of the kinds are ladders, shape (c,)."""
+    return np.array([kind.family == "ladder" for kind in kinds], dtype=bool)
+
+
 def average(
     samples: Samples,
     kinds: Sequence[Kind],
@@ -392,9 +411,10 @@ def average(
         def work(start: int) -> list[_Tried]:
             part = [kernels[i] for i in rows[start : start + batch]]
             spectra = Spectra(_grams(part, r2, spreads, levels), samples, close)
-            restricted, left_out, variances = spectra.criteria(smoothings)
+            restricted, left_out, squares, variances = spectra.criteria(smoothings)
             scores = score(len(samples), left_out, smoothings)
-            return [_Tried(spectra, *one) for one in zip(range(len(part)), scores, variances, restricted, strict=True)]
+            found = zip(range(len(part)), scores, squares, variances, restricted, strict=True)
+            return [_Tried(spectra, *one) for one in found]
 
         def tell(share: float) -> None:
             tick((before + share * len(rows)) / len(kinds))
@@ -402,11 +422,15 @@ def average(
         found = parallel(work, range(0, len(rows), batch), tick=tell)
         tried.update(zip(rows, chain(*found), strict=True))
 
+    def scores_of(rows: Sequence[int]) -> FloatArray:
+        scores, squares = (np.array(part) for part in zip(*(tried[i][2:4] for i in rows), strict=True))
+        return believed(scores, squares, are_ladders([kinds[i] for i in rows]))
+
     first = _every(COARSE, kinds) if len(kinds) > COUNTED else range(len(kinds))
     trial(first)
     for step, behind in REFINEMENTS:
         rows = sorted(tried)
-        worth = np.array([tried[i].scores.min() for i in rows])
+        worth = scores_of(rows).min(axis=1)
         hot = np.flatnonzero(worth <= worth.min() + behind).tolist()
         about = {i for k in hot for i in range(rows[max(0, k - 1)] + 1, rows[min(k + 1, len(rows) - 1)])}
         trial(sorted(about.intersection(_every(step, kinds)) - tried.keys()))
@@ -415,7 +439,8 @@ def average(
     rows = sorted(tried)
     scored = Scored(
         [Candidate(kinds[i], s) for i in rows for s in smoothings.tolist()],
-        *(np.concatenate(part) for part in zip(*(tried[i][2:] for i in rows), strict=True)),
+        scores_of(rows).ravel(),
+        *(np.concatenate(part) for part in zip(*(tried[i][4:] for i in rows), strict=True)),
     )
     by_kind = dict(zip(rows, scored.shares.reshape(len(rows), -1), strict=True))
     used = [i for i in rows if by_kind[i].any()]
@@ -439,11 +464,12 @@ def _every(step: int, kinds: Sequence[Kind]) -> list[int]:
 
 
 class _Tried(NamedTuple):
-    """A kernel in its eigenbasis, and what `Scored` has of it for every smoothing, shape (m,) each."""
+    """A kernel in its eigenbasis, and for every smoothing, shape (m,) each, what `Scored` has of it."""
 
     spectra: Spectra
     row: int
     scores: FloatArray
+    squares: FloatArray
     variances: FloatArray
     restricted: FloatArray
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -148,6 +149,43 @@ def test_a_cliff_in_a_smooth_surface_does_not_explode() -> None:
     assert 105 < grid.max() < 155
     theirs = np.mean((cliff(Q) - RBFInterpolator(X, cliff(X), neighbors=50)(Q)) ** 2)
     assert np.mean((cliff(Q) - network.predict(Q)) ** 2) < 1.2 * theirs
+
+
+def ridge(X: FloatArray) -> FloatArray:
+    return np.asarray(np.abs(X[:, 0] - 0.3 * X[:, 1]))
+
+
+def cliff(X: FloatArray) -> FloatArray:
+    return np.asarray(np.tanh(20 * (X[:, 0] - 0.3 * np.sin(2 * X[:, 1]))))
+
+
+@pytest.mark.parametrize(
+    ("f", "rows", "accepted"),
+    [
+        (ridge, lambda _X: slice(None), 1.1),
+        (ridge, lambda X: np.hypot(*X.T) > 0.8, 1.5),
+        (cliff, lambda X: np.hypot(*X.T) > 0.8, 2.0),
+        (cliff, lambda X: X[:, 0] % 0.6 < 0.3, 2.0),
+    ],
+    ids=["ridge", "ridge, hole", "cliff, hole", "cliff, stripes"],
+)
+def test_an_edge_in_what_is_smooth_elsewhere_costs_no_more_than_a_thin_plate(
+    f: Callable[[FloatArray], FloatArray], rows: Callable[[FloatArray], Any], accepted: float
+) -> None:
+    X, Q = scattered(12_000), scattered(1000, 1)
+    X = X[rows(X)][:5000]
+    fitted = Partition.fit(X, f(X)[:, None])
+    theirs = np.sqrt(np.mean((RBFInterpolator(X, f(X), neighbors=50)(Q) - f(Q)) ** 2))
+    assert rmse(fitted, f, Q) < accepted * theirs
+    assert np.abs(fitted.predict(Q)).max() < 1.5 * np.abs(f(X)).max()
+
+
+def test_a_smooth_surface_keeps_its_kernel_where_a_hole_makes_it_doubtful() -> None:
+    X = scattered(9000)
+    X = X[np.hypot(X[:, 0] - 0.3, X[:, 1]) > 0.7][:6000]
+    fitted = Partition.fit(X, bowl(X)[:, None])
+    Q = 0.97 * scattered(2000, 1)
+    assert rmse(fitted, bowl, Q[np.hypot(Q[:, 0] - 0.3, Q[:, 1]) > 0.75]) < 1e-4
 
 
 def test_a_lake_is_known_to_be_flat_and_says_nothing_of_the_hills() -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.interpolate import RBFInterpolator
 from threadpoolctl import threadpool_limits
 
 from common.network import RBFNetwork, search, threads
 from common.network.kernel import ladder_spreads, mean_spacing
 from common.network.selection import SMOOTHINGS, Candidate, Kind, Samples, Scored, average, families, rounding_floor
+from common.surface import FloatArray
 
 
 def samples(n: int, noise: float) -> Samples:
@@ -95,3 +97,19 @@ def test_the_same_bits_whatever_the_threads(n: int, monkeypatch: pytest.MonkeyPa
             grids.append(RBFNetwork().fit(given.X, given.y[:, 0]).coefficients_)
     np.testing.assert_array_equal(grids[0], grids[1])
     np.testing.assert_array_equal(grids[0], grids[2])
+
+
+@pytest.mark.parametrize(("n", "seed", "accepted"), [(240, 1, 3.0), (1500, 0, 1.5)])
+def test_a_ridge_that_few_points_see_is_not_forgiven(n: int, seed: int, accepted: float) -> None:
+    """Four points of five lie on a plane, which a wide Gaussian foretells to the last digit."""
+    rng = np.random.default_rng(seed)
+    X = rng.random((20 * n, 2))
+    X = X[rng.random(len(X)) < np.exp(-6 * X[:, 0])][:n]
+    Q = rng.random((1000, 2))
+
+    def ridge(places: FloatArray) -> FloatArray:
+        return np.abs(places[:, 0] - 0.5 - 0.3 * (places[:, 1] - 0.5))
+
+    ours = np.sqrt(np.mean((RBFNetwork().fit(X, ridge(X)).predict(Q) - ridge(Q)) ** 2))
+    theirs = np.sqrt(np.mean((RBFInterpolator(X, ridge(X))(Q) - ridge(Q)) ** 2))
+    assert ours < accepted * theirs

@@ -20,6 +20,7 @@ from common.network.selection import (
     _eigenbases,
     amplitudes,
     average,
+    believed,
     families,
     rounding_floor,
     score,
@@ -87,7 +88,7 @@ def test_the_restricted_likelihood_is_that_of_contrasts(samples: Samples) -> Non
     contrasts = np.linalg.qr(np.column_stack([np.ones(n), np.eye(n)[:, 1:]]))[0][:, 1:]
     spectra = Spectra(KERNEL.gram(samples.X)[None], samples)
     levels = np.array([SMOOTHING, 0.3])
-    ours, _, variance = spectra.criteria(levels)
+    ours, _, _, variance = spectra.criteria(levels)
     brute = []
     for level, v in zip(levels, variance[0], strict=True):
         covariance = v * contrasts.T @ (KERNEL.gram(samples.X) + np.diag(level / samples.weights)) @ contrasts
@@ -103,8 +104,9 @@ def test_the_leave_one_out_density_uses_the_residuals_own_variance(samples: Samp
         0.5 * np.sum(np.log(own * solution.spread) + residuals**2 / (own * solution.spread) - 1)
         for residuals in solution.residuals.T
     )
-    _, density, _ = spectra.criteria(np.array([SMOOTHING]))
+    _, density, square, _ = spectra.criteria(np.array([SMOOTHING]))
     assert density[0, 0] == pytest.approx(expected, rel=1e-8)
+    assert square[0, 0] == pytest.approx(np.mean(solution.residuals**2), rel=1e-8)
 
 
 def test_a_point_with_a_twin_is_left_out_with_it() -> None:
@@ -238,3 +240,12 @@ def test_trying_every_fourth_kernel_first_misses_none_that_counts(
     assert len(few.scored.candidates) <= 0.75 * len(every.scored.candidates)
     assert few.scored.best == every.scored.best
     np.testing.assert_allclose(few.residuals, every.residuals, atol=0.05 * np.sqrt(np.mean(every.residuals**2)))
+
+
+def test_what_errs_far_more_than_a_ladder_is_not_believed() -> None:
+    scores = np.array([[0.0, 1.0], [2.0, 3.0], [4.0, 5.0]])
+    squares = np.array([[9.0, 3.9], [1.0, 2.0], [0.5, 0.1]])
+    ladders = np.array([False, True, False])
+    np.testing.assert_array_equal(believed(scores, squares, ladders), [[np.inf, 1.0], [2.0, 3.0], [4.0, 5.0]])
+    np.testing.assert_array_equal(believed(scores, squares, ladders, 0.3)[2], [np.inf, 5.0])
+    np.testing.assert_array_equal(believed(scores, squares, np.zeros(3, dtype=bool)), scores)
