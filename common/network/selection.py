@@ -21,8 +21,9 @@ One eigendecomposition of W^1/2 K W^1/2 gives two criteria for every smoothing a
 Candidates are averaged with weights exp(-0.7 nll_LOO) lambda: the leave-one-out density at less than full strength,
 since few points tell less than it claims, and noise-to-signal ratios lambda between 0.0003 and 0.1 held for equally
 likely beforehand (on a logarithmic scale a flat density is lambda). Candidates share their centres, so the average is
-one network again: coefficients per spread add up. REML, which is sure of itself even where no kernel is right, serves
-to compare readings of the data (`common.network.robust`). docs/network.md has the table behind the choice.
+one network again: coefficients per spread add up. What leaves far more than a ladder at the points has no weight. REML,
+which is sure of itself even where no kernel is right, serves to compare readings of the data (`common.network.robust`).
+docs/network.md has the table behind the choice.
 """
 
 from __future__ import annotations
