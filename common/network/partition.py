@@ -8,9 +8,9 @@ based on partition of unity"),
 
 where w_p is a product of quintic steps, so f has two continuous derivatives and no seam. All patches share one kernel,
 measured in the patch's own mean spacing h_p, and its smoothing; both are chosen from the data by a sample of patches,
-each with its own amplitude. Where that makes patches or the surface explode, a ladder takes its place. Where a patch has
-too few points in a quarter of its square, in a hole or beside one, it borrows the nearest points wherever they are, so
-every place is covered.
+each with its own amplitude. Where that makes patches or the surface explode, a ladder takes its place. Where a patch
+has too few points in a quarter of its square, in a hole or beside one, it borrows the nearest points wherever they
+are, so every place is covered.
 """
 
 from __future__ import annotations
