@@ -108,10 +108,10 @@ PROBES = 2000
 CALM = 1.0
 """Exponent H up to which a ladder explodes nowhere."""
 
-FAR_LESS = 16.0
-"""Part of what the ladder leaves at clean points, as a sum of squares, that a kernel must not exceed to stay."""
+FAR_MORE = 16.0
+"""Times a kernel's sum of squares that a calm ladder must leave at clean points for the kernel to stay."""
 
-CLEARLY_LESS = 0.8
+MORE_OR_LESS = 0.8
 """The same where the points are noisy."""
 
 CLEAN = 1e-6
@@ -353,57 +353,12 @@ class Partition:
         return np.stack([deviation * density, deviation**2 * len(rows) * square])
 
     def _solve(self, values: FloatArray, tick: Tick) -> None:
-        """Coefficients, bias and amplitude of every patch."""
+        """Coefficients, bias and amplitude of every patch, those of as many points together."""
         outputs = values.shape[1]
         self.coefficients = np.zeros((len(self.members), outputs))
         self.bias, self.amplitude = np.zeros((len(self), outputs)), np.zeros((len(self), outputs))
-        self._solve_patches(np.arange(len(self)), values, tick)
-
-    def _loud(self, values: FloatArray) -> IntArray:
-        """Patches that the kernel of the others makes explode.
-
-        So does a cliff in a smooth surface: it takes a wide Gaussian an amplitude far beyond the heights.
-        """
-        counts, first = np.diff(self.starts)[:, None], self.starts[:-1]
-        away = values[self.members]
-        away -= np.repeat(np.add.reduceat(away, first) / counts, counts[:, 0], axis=0)
-        deviations = np.sqrt(np.mean(np.add.reduceat(np.square(away, out=away), first) / counts, axis=1))
-        alive = np.flatnonzero(deviations > FLAT)
-        if not len(alive):
-            return alive
-        loudness = np.sqrt(np.mean(self.amplitude[alive] ** 2, axis=1)) / deviations[alive]
-        return np.asarray(alive[loudness > LOUD * np.median(loudness)])
-
-    def _astray(self, values: FloatArray) -> bool:
-        """Whether the surface leaves the range of the values by more than `ASTRAY` anywhere in their box."""
-        frame = self.cover.frame
-        places = frame.low + frame.side * frame.extent * np.random.default_rng(0).random((PROBES, 2))
-        middle = (values.max(axis=0) + values.min(axis=0)) / 2
-        return bool(np.any(np.abs(self.predict(places) - middle) > ASTRAY * np.ptp(values, axis=0) / 2))
-
-    def _tempered(self, loud: IntArray, values: FloatArray) -> tuple[Kernel, float]:
-        """The calm ladder, and its smoothing, that leaves least at the points of the loud patches and of the others.
-
-        The kernel that is there stays where it leaves `FAR_LESS`, since it errs more between the points, where nothing
-        tells; where noise hides what a kernel leaves, unless the ladder leaves clearly less.
-        """
-        ladders = [kernel for kernel, roughness in zip(_kernels(), ROUGHNESS, strict=False) if roughness <= CALM]
-        kernels = [self.kernel, *ladders]
-        smoothings = SMOOTHINGS[rounding_floor(int(np.diff(self.starts).max())) <= SMOOTHINGS]
-        rng, total = np.random.default_rng(0), np.zeros((len(kernels), len(smoothings)))
-        for patches, most in ((loud, MORE), (np.setdiff1d(np.arange(len(self)), loud), MORE)):
-            asked = rng.permutation(patches)[:most]
-            if len(asked):
-                total += len(patches) / len(asked) * self._summed(asked, values, kernels, smoothings)[1]
-        total[0] *= FAR_LESS if self.smoothing.max() < CLEAN else CLEARLY_LESS
-        kernel, level = np.unravel_index(int(np.argmin(total)), total.shape)
-        return kernels[kernel], float(smoothings[level])
-
-    def _solve_patches(self, patches: IntArray, values: FloatArray, tick: Tick) -> None:
-        """Coefficients, bias and amplitude of some patches, those of as many points together."""
-        outputs = values.shape[1]
         levels = Levels(self.kernel)
-        order = patches[np.argsort(np.diff(self.starts)[patches], kind="stable")]
+        order = np.argsort(np.diff(self.starts), kind="stable")
 
         def work(patches: IntArray) -> None:
             points, slots, real = self._batch(patches)
@@ -433,6 +388,46 @@ class Partition:
         size = max(1, round(BATCH * (largest / (largest + outputs)) ** 2))
         batches = [order[start : start + size] for start in range(0, len(order), size)]
         parallel(work, batches, tick=lambda fraction: tick("solve", fraction))
+
+    def _loud(self, values: FloatArray) -> IntArray:
+        """Patches that the kernel of the others makes explode.
+
+        So does a cliff in a smooth surface: it takes a wide Gaussian an amplitude far beyond the heights.
+        """
+        counts, first = np.diff(self.starts)[:, None], self.starts[:-1]
+        away = values[self.members]
+        away -= np.repeat(np.add.reduceat(away, first) / counts, counts[:, 0], axis=0)
+        deviations = np.sqrt(np.mean(np.add.reduceat(np.square(away, out=away), first) / counts, axis=1))
+        alive = np.flatnonzero(deviations > FLAT)
+        if not len(alive):
+            return alive
+        loudness = np.sqrt(np.mean(self.amplitude[alive] ** 2, axis=1)) / deviations[alive]
+        return np.asarray(alive[loudness > LOUD * np.median(loudness)])
+
+    def _astray(self, values: FloatArray) -> bool:
+        """Whether the surface leaves the range of the values by more than `ASTRAY` anywhere in their box."""
+        frame = self.cover.frame
+        places = frame.low + frame.side * frame.extent * np.random.default_rng(0).random((PROBES, 2))
+        middle = (values.max(axis=0) + values.min(axis=0)) / 2
+        return bool(np.any(np.abs(self.predict(places) - middle) > ASTRAY * np.ptp(values, axis=0) / 2))
+
+    def _tempered(self, loud: IntArray, values: FloatArray) -> tuple[Kernel, float]:
+        """The calm ladder, and its smoothing, that leaves least at the points of the loud patches and of the others.
+
+        The kernel that is there stays where the ladder leaves `FAR_MORE`, since that kernel errs more between the
+        points, where nothing tells; where noise hides what a kernel leaves, unless the ladder leaves clearly less.
+        """
+        ladders = [kernel for kernel, roughness in zip(_kernels(), ROUGHNESS, strict=False) if roughness <= CALM]
+        kernels = [self.kernel, *ladders]
+        smoothings = SMOOTHINGS[rounding_floor(int(np.diff(self.starts).max())) <= SMOOTHINGS]
+        rng, total = np.random.default_rng(0), np.zeros((len(kernels), len(smoothings)))
+        for patches in (loud, np.setdiff1d(np.arange(len(self)), loud)):
+            asked = rng.permutation(patches)[:MORE]
+            if len(asked):
+                total += len(patches) / len(asked) * self._summed(asked, values, kernels, smoothings)[1]
+        total[0] *= FAR_MORE if self.smoothing.max() < CLEAN else MORE_OR_LESS
+        kernel, level = np.unravel_index(int(np.argmin(total)), total.shape)
+        return kernels[kernel], float(smoothings[level])
 
     def _calibrate(self, values: FloatArray) -> None:
         """Factor and detail from the leave-one-out residuals in the cells of a sample of patches."""
