@@ -17,7 +17,7 @@ from common.network.autoassociative import Lifted
 from common.network.calibration import calibrated
 from common.network.expansion import Expansion
 from common.network.kernel import ladder_spreads, mean_spacing, nearest_distance
-from common.network.partition import Partition
+from common.network.partition import PROBES, Partition
 from common.network.selection import SMOOTHINGS, Fit, Kind, Samples, blend, families, rounding_floor
 from common.network.threads import single_threaded_blas
 from common.surface import FloatArray, IntArray
@@ -44,9 +44,6 @@ MOVED = 2.5
 
 BEYOND = 3.0
 """Half ranges about the middle of the values that a surface may reach between its points."""
-
-PROBES = 2000
-"""Places between the points at which a partition is probed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -329,6 +326,4 @@ def _bounded(network: Partition, samples: Samples) -> bool:
     """Whether the surface stays near the values between the points."""
     pairs = np.random.default_rng(0).integers(len(samples), size=PROBES)
     distances = np.abs(np.diff(samples.X[np.sort(pairs)], axis=0)).mean(axis=0) / len(samples) ** 0.5
-    between = network.predict(samples.X[pairs] + distances)
-    middle = (samples.y.max(axis=0) + samples.y.min(axis=0)) / 2
-    return bool(np.all(np.abs(between - middle) <= BEYOND * np.ptp(samples.y, axis=0) / 2))
+    return not network.strays(samples.X[pairs] + distances, samples.y, BEYOND)

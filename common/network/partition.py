@@ -29,7 +29,7 @@ from common.network.dense import Dense
 from common.network.kernel import Kernel
 from common.network.local import CACHED, FAR, Levels
 from common.network.quadtree import DEEPEST, Quadtree
-from common.network.selection import TINY, Kind, Samples, Spectra, believed, rounding_floor
+from common.network.selection import CLEAN, TINY, Kind, Samples, Spectra, believed, rounding_floor
 from common.network.threads import in_order, parallel
 from common.surface import BoolArray, FloatArray, IntArray
 
@@ -103,7 +103,7 @@ ASTRAY = 1.5
 """Half ranges about the middle of the values within which a surface is not doubted."""
 
 PROBES = 2000
-"""Places where that is looked at."""
+"""Places at which a surface is probed."""
 
 CALM = 1.0
 """Exponent H up to which a ladder explodes nowhere."""
@@ -113,9 +113,6 @@ FAR_MORE = 16.0
 
 MORE_OR_LESS = 0.8
 """The same where the points are noisy."""
-
-CLEAN = 1e-6
-"""Smoothing up to which points are taken for clean."""
 
 DOUBTFUL = 2.0
 """Sum of squares, over the least of a ladder, beyond which a kernel is not believed; patches have many points."""
@@ -238,7 +235,8 @@ class Partition:
         made._solve(values, told)
         if spread == smoothing == "auto":
             loud = made._loud(values)
-            if len(loud) or made._astray(values):
+            everywhere = frame.low + frame.side * frame.extent * np.random.default_rng(0).random((PROBES, 2))
+            if len(loud) or made.strays(everywhere, values, ASTRAY):
                 kernel, level = made._tempered(loud, values)
                 if kernel is not made.kernel:
                     made.kernel, made.smoothing = kernel, np.full(patches, level)
@@ -404,13 +402,6 @@ class Partition:
         loudness = np.sqrt(np.mean(self.amplitude[alive] ** 2, axis=1)) / deviations[alive]
         return np.asarray(alive[loudness > LOUD * np.median(loudness)])
 
-    def _astray(self, values: FloatArray) -> bool:
-        """Whether the surface leaves the range of the values by more than `ASTRAY` anywhere in their box."""
-        frame = self.cover.frame
-        places = frame.low + frame.side * frame.extent * np.random.default_rng(0).random((PROBES, 2))
-        middle = (values.max(axis=0) + values.min(axis=0)) / 2
-        return bool(np.any(np.abs(self.predict(places) - middle) > ASTRAY * np.ptp(values, axis=0) / 2))
-
     def _tempered(self, loud: IntArray, values: FloatArray) -> tuple[Kernel, float]:
         """The calm ladder, and its smoothing, that leaves least at the points of the loud patches and of the others.
 
@@ -495,6 +486,11 @@ class Partition:
 
         blended, _ = self._blended(X, self.coefficients.shape[1], values)
         return blended
+
+    def strays(self, X: FloatArray, values: FloatArray, accepted: float) -> bool:
+        """Whether it is more than `accepted` half ranges off the middle of the values (n, k) anywhere at X (m, 2)."""
+        middle = (values.max(axis=0) + values.min(axis=0)) / 2
+        return not np.all(np.abs(self.predict(X) - middle) <= accepted * np.ptp(values, axis=0) / 2)
 
     def predict_std(self, X: FloatArray) -> FloatArray:
         """Standard deviation of the surface at X (m, 2), without the noise of a new measurement, shape (m, k)."""

@@ -256,6 +256,4 @@ def _everywhere(samples: Samples, rows: IntArray, fit: Fit) -> tuple[FloatArray,
 
 
 def _likelihood(fit: Fit) -> float:
-    return float(fit.scored.restricted[int(np.argmin(fit.scored.scores))]) + 0.5 * len(fit.residuals) * float(
-        np.log(2 * np.pi) + 1
-    )
+    return float(fit.scored.restricted[fit.scored.least]) + 0.5 * len(fit.residuals) * float(np.log(2 * np.pi) + 1)

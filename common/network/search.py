@@ -18,6 +18,7 @@ from common.network.dense import Dense
 from common.network.kernel import LADDER_STEP, mean_spacing, squared_distances, upper_sum_of_levels
 from common.network.selection import (
     BEHIND,
+    CLEAN,
     ROUGHNESS,
     TINY,
     WORSE,
@@ -92,9 +93,6 @@ WORTHLESS = 8.0
 
 KNOWN = 1e-6
 """Mean square of the leave-one-out residuals up to which no kernel is doubted."""
-
-CLEAN = 1e-6
-"""Smoothing below which the points may have no noise at all, and the least smoothing is tried at once."""
 
 SMOOTH = 2.0
 """Mean spacings of the points beyond which a spread is wide."""
@@ -280,14 +278,14 @@ class _Search:
         return Scored(candidates, believed(scores, squares, are_ladders([c.kind for c in candidates])), *others)
 
     def _best(self) -> _Place:
-        return list(self.tried)[int(np.argmin(self._scored().scores))]
+        return list(self.tried)[self._scored().least]
 
     def _averaged(self) -> Fit:
         scored = self._scored()
         parts = [(p, share) for p, share in zip(self.tried, scored.shares.tolist(), strict=True) if share]
         solutions = [self.tried[p].solution.scaled(share) for p, share in parts]
         kernels = [p.candidate.kind.kernel(self.spreads) for p, _ in parts]
-        alone = self.tried[self._best()].solution.spread
+        alone = list(self.tried.values())[scored.least].solution.spread
         return combine(scored, alone, kernels, solutions, self.spreads, self.samples.weights)
 
 

@@ -80,6 +80,9 @@ NEGLIGIBLE = 0.03
 WORSE = 4.0
 """Mean square of the leave-one-out residuals, over the least of a ladder, beyond which a candidate is not believed."""
 
+CLEAN = 1e-6
+"""Smoothing below which the points may have no noise at all."""
+
 TINY = float(np.finfo(np.float64).tiny)
 CLOSE = 0.1
 """Mean spacings within which two points are twins: one tells the other, and neither what is between the points."""
@@ -362,9 +365,14 @@ class Scored:
         return sorted(total, key=lambda kind: -total[kind])[:most]
 
     @property
+    def least(self) -> int:
+        """Where the least score is."""
+        return int(np.argmin(self.scores))
+
+    @property
     def best(self) -> Candidate:
         """The candidate of the least score."""
-        return self.candidates[int(np.argmin(self.scores))]
+        return self.candidates[self.least]
 
 
 def score(n: int, leave_one_out: FloatArray, smoothings: FloatArray) -> FloatArray:
@@ -445,7 +453,7 @@ def average(
     )
     by_kind = dict(zip(rows, scored.shares.reshape(len(rows), -1), strict=True))
     used = [i for i in rows if by_kind[i].any()]
-    best = tried[rows[int(np.argmin(scored.scores)) // len(smoothings)]]
+    best = tried[rows[scored.least // len(smoothings)]]
     return combine(
         scored,
         best.spectra.solve(best.row, np.array([scored.best.smoothing]), np.ones(1)).spread,
@@ -547,7 +555,7 @@ def combine(
         for level, amplitude in zip(kernel.spreads.tolist(), kernel.amplitudes.tolist(), strict=True)
     ]
     spreads, coefficients = _summed(parts)
-    variance = float(scored.variances[int(np.argmin(scored.scores))])
+    variance = float(scored.variances[scored.least])
     return Fit(
         scored=scored,
         spreads=spreads,
