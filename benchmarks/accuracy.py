@@ -12,10 +12,11 @@ from __future__ import annotations
 import argparse
 import warnings
 from collections.abc import Callable
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 from scipy.interpolate import RBFInterpolator, griddata
+from scipy.spatial import KDTree
 
 from benchmarks import terrain
 from benchmarks.network import fractal, timed
@@ -287,7 +288,9 @@ def coverage(seeds: int) -> None:
     print("  columns, clean and noisy each: " + ", ".join(map(str, sizes)) + " points")
 
 
-UNEVEN: dict[str, Callable[[FloatArray, FloatArray], FloatArray | BoolArray]] = {
+Likely: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray | BoolArray]
+
+UNEVEN: dict[str, Likely] = {
     "everywhere": lambda x, _y: np.ones_like(x),
     "tracks": lambda x, _y: np.abs((12 * x + 0.5) % 1 - 0.5) < 0.02,
     "crossing": lambda x, y: (np.abs((8 * x + np.sin(3 * y)) % 1 - 0.5) < 0.01) | (np.abs(3 * y % 1 - 0.5) < 0.006),
@@ -305,6 +308,15 @@ SHAPES: dict[str, Callable[[FloatArray, FloatArray], FloatArray]] = {
 }
 
 
+def drawn(n: int, likely: Likely, rng: np.random.Generator) -> FloatArray:
+    """Places (n, 2) of the unit square, each as likely as that."""
+    X = np.empty((0, 2))
+    while len(X) < n:
+        tried = rng.random((4 * n, 2))
+        X = np.vstack([X, tried[rng.random(4 * n) < likely(*tried.T)]])[:n]
+    return X
+
+
 def uneven(seeds: int) -> None:
     """Points along tracks, in stripes, around a hole, ever thinner: ratio to the best of two splines."""
     print("Uneven points: RMSE over the better of thin plate (50 neighbours) and linear; median (greatest)")
@@ -315,10 +327,7 @@ def uneven(seeds: int) -> None:
                 ratios = []
                 for seed in range(min(seeds, 5)):
                     rng = np.random.default_rng(seed)
-                    X = np.empty((0, 2))
-                    while len(X) < n:
-                        drawn = rng.random((4 * n, 2))
-                        X = np.vstack([X, drawn[rng.random(4 * n) < likely(*drawn.T)]])[:n]
+                    X = drawn(n, likely, rng)
                     Q, y = rng.random((2000, 2)), shape(*X.T)
                     z = shape(*Q.T)
                     rivals = (RBFInterpolator(X, y, neighbors=50)(Q), linear(X, y, Q))
@@ -326,6 +335,45 @@ def uneven(seeds: int) -> None:
                 figures.append(f"{np.median(ratios):6.2f} ({max(ratios):5.2f})")
             print(f"  {name:8s} {n:5d} " + " ".join(figures), flush=True)
     print("  columns: " + ", ".join(UNEVEN))
+
+
+GAPS: dict[str, Likely] = {
+    "half": lambda x, _y: x > 0.5,
+    "corner": lambda x, y: (x > 0.5) | (y > 0.5),
+    "strip": lambda x, _y: np.abs(x - 0.5) > 0.17,
+    "hole": UNEVEN["hole"],
+    "tracks": lambda x, _y: np.abs((4 * x + 0.5) % 1 - 0.5) < 0.02,
+    "clusters": lambda x, y: np.hypot(3 * x % 1 - 0.5, 3 * y % 1 - 0.5) < 0.25,
+}
+"""Where points are; the rest is to be told from afar."""
+
+HILLS: dict[str, Callable[[FloatArray, FloatArray], FloatArray]] = {
+    **SHAPES,
+    "dip": lambda x, y: -1 / (1 + (4 * x - 2) ** 2 + (4 * y - 2) ** 2),
+    "surface 3": lambda x, y: (4 * x - 2) * np.exp(-((4 * x - 2) ** 2) - (4 * y - 2) ** 2),
+}
+
+
+def gaps(seeds: int) -> None:
+    """Share of the truth within the 95 % band, at places further from all points than their mean spacing."""
+    print("Coverage of the 95 % band in gaps and beyond the edge, per cent: clean, 5 % noise")
+    for name, shape in HILLS.items():
+        for n in (100, 400, 1500, 6000):
+            figures = []
+            for likely in GAPS.values():
+                for noise in (0.0, 0.05):
+                    shares = []
+                    for seed in range(seeds if n < 1000 else min(seeds, 3)):
+                        rng = np.random.default_rng(seed)
+                        X, Q = drawn(n, likely, rng), rng.random((4000, 2))
+                        y, z = shape(*X.T), shape(*Q.T)
+                        y = y + noise * np.std(y) * rng.normal(size=n)
+                        mean, deviation = RBFNetwork().fit(X, y).predict(Q, return_std=True)
+                        far = KDTree(X).query(Q)[0] > n**-0.5
+                        shares.append(float(np.mean((np.abs(mean - z) <= 1.96 * deviation)[far])))
+                    figures.append(100 * float(np.mean(shares)))
+            print(f"  {name:10s} {n:5d} " + " ".join(f"{value:5.1f}" for value in figures), flush=True)
+    print("  columns, clean and noisy each: " + ", ".join(GAPS))
 
 
 def merging(seeds: int) -> None:
@@ -376,6 +424,7 @@ TABLES: dict[str, Callable[[int], None]] = {
     "terrain": real,
     "coverage": coverage,
     "uneven": uneven,
+    "gaps": gaps,
     "merging": merging,
     "exploded": exploded,
 }

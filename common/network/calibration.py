@@ -4,17 +4,26 @@ A place drawn as the points were is exchangeable with them, so a band that holds
 it should holds the surface there, too, whatever the kernel (Barber, Candes, Ramdas and Tibshirani 2021, "Predictive
 inference with the jackknife+"). The residuals carry the noise of their points as well, which is not the surface's; the
 variance that the smoothing stands for counts in the band only where it cannot be noise.
+
+A gap, or what lies beyond the edge, is not a place like the points'. A smooth kernel holds what it carries on there for
+almost as sure as what it interpolates. So points on one side are told by all others, as if they were missing: how much
+faster the errors grow than the deviation that the kernel gives them is the growth of the deviation (Roberts and others
+2017, "Cross-validation strategies for data with temporal, spatial, hierarchical, or phylogenetic structure": what is to
+be foretold far away is left out in blocks).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from scipy.spatial import KDTree
 from scipy.special import betaincinv, chdtri
 
-from common.network.selection import TINY, Fit
+from common.network.dense import Dense
+from common.network.selection import NOTHING, TINY, Fit, Samples
 from common.surface import FloatArray
 
 SHARE, WIDTH = 0.95, 1.96
@@ -41,33 +50,84 @@ _CALM_SQUARE = float(chdtri(1, 1 - betaincinv((AROUND + 1) / 2, (AROUND + 1) / 2
 """Quantile `CALM` of the median of as many squared normal deviates as a neighbourhood has points."""
 
 
+SIDES = (1 / 8, 1 / 4, 1 / 2, 1 / 8, 1 / 4, 1 / 2)
+"""Shares of the points that are left out together, each on a side of its own."""
+
+TOGETHER = 250
+"""Points that are told by those on the other side, and tell them, at most."""
+
+FAR = 4.0
+"""Variance, over the one that is usual at a point, from where on its growth is told."""
+
+STEEPEST = 1.0
+"""Greatest growth: the deviation goes by the square of what the kernel says."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """What makes the posterior variance v of a kernel that of the surface: factor^2 v + excess.
+    """What makes the posterior variance v of a kernel, over that of the surface, the variance of what is predicted.
 
     Attributes
     ----------
     factor : ndarray, shape (k,)
-    excess : ndarray, shape (k,)
-        From what the smoothing stands for besides noise.
+        On the deviation.
+    detail : ndarray, shape (k,)
+        Share of the smoothing that is detail finer than the points, not noise.
+    growth : ndarray, shape (k,)
+        Exponent by which the variance grows faster than v where this is more than usual.
+    usual : float
+        Median of v at the points, each left out.
     """
 
     factor: FloatArray
-    excess: FloatArray
+    detail: FloatArray
+    growth: FloatArray
+    usual: float
+
+    @classmethod
+    def unknown(cls, outputs: int, factor: float = 1.0) -> Self:
+        """The variance that the kernel says, but for a factor on the deviation."""
+        return cls(np.full(outputs, factor), np.zeros(outputs), np.zeros(outputs), 1.0)
+
+    def variance(self, v: FloatArray, smoothing: FloatArray | float) -> FloatArray:
+        """Of a surface of unit variance, shape (..., k), where the kernel says v (...)."""
+        grown = v[..., None] * np.maximum(v[..., None] / self.usual, 1.0) ** self.growth
+        return np.asarray(self.factor**2 * (grown + np.asarray(smoothing)[..., None] * self.detail))
+
+    def to_state(self) -> dict[str, FloatArray]:
+        """Everything, as arrays."""
+        return {name: np.asarray(getattr(self, name)) for name in _FIELDS}
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, np.ndarray[Any, Any]]) -> Self:
+        """The calibration that `to_state` wrote."""
+        factor, detail, growth, usual = (np.array(state[name]) for name in _FIELDS)
+        return cls(factor, detail, growth, float(usual))
 
 
-def calibrated(X: FloatArray, fit: Fit) -> Calibration:
-    """The calibration of the best candidate's posterior for the average of the candidates, fitted at X (n, d)."""
-    outputs = fit.residuals.shape[1]
-    if len(X) < FEWEST:
-        return Calibration(np.full(outputs, UNSURE), np.zeros(outputs))
+_FIELDS = ("factor", "detail", "growth", "usual")
+
+
+def calibrated(samples: Samples, fit: Fit) -> Calibration:
+    """The calibration of the best candidate's posterior for the average of the candidates, fitted to the samples."""
+    n, outputs = fit.residuals.shape
+    if n < FEWEST:
+        return Calibration.unknown(outputs, UNSURE)
     ratios = fit.residuals / np.maximum(np.sqrt(fit.variance * fit.spread), TINY)[:, None]
     scale = factor(ratios)
-    smoothed = fit.smoothing * fit.variance
-    detail = np.full(outputs, smoothed)
-    if smoothed > DETAIL:
-        detail = smoothed * (1 - noise_share(X, ratios / np.maximum(scale, TINY)))
-    return Calibration(scale, scale**2 * detail)
+    detail = np.ones(outputs)
+    if fit.smoothing * fit.variance > DETAIL:
+        detail = 1 - noise_share(samples.X, ratios / np.maximum(scale, TINY))
+    usual = usual_variance(fit.spread - fit.smoothing / fit.weights)
+    some = np.sort(np.random.default_rng(0).permutation(n)[:TOGETHER])
+    few = samples.take(some)
+    sides = told_across(few.X, few.y, fit.kernel.gram(few.X), fit.smoothing / fit.weights[some])
+    return Calibration(scale, detail, growth([sides.over(np.sqrt(fit.variance))], scale, usual), usual)
+
+
+def usual_variance(variances: FloatArray) -> float:
+    """Of the surface at the points, from what the kernel says of each without it, noise taken off."""
+    return max(float(np.median(variances)), NOTHING)
 
 
 def factor(ratios: FloatArray) -> FloatArray:
@@ -86,3 +146,74 @@ def noise_share(X: FloatArray, ratios: FloatArray) -> FloatArray:
     _, near = KDTree(X).query(X, k=AROUND)
     calm = np.quantile(np.median(ratios[near] ** 2, axis=1), CALM, axis=0)
     return np.asarray(np.minimum(1.0, calm / _CALM_SQUARE))
+
+
+class Across(NamedTuple):
+    """What points tell of others that are on one side of them.
+
+    Attributes
+    ----------
+    errors : ndarray, shape (m, k)
+    variances, noise : ndarray, shape (m,)
+        What the kernel says of them, over the variance of the surface, and how much of the errors may be noise.
+    shares : ndarray, shape (m,)
+        What each counts; every side counts the same.
+    """
+
+    errors: FloatArray
+    variances: FloatArray
+    noise: FloatArray
+    shares: FloatArray
+
+    def over(self, amplitude: FloatArray | float) -> Across:
+        """The same of a surface whose deviation is `amplitude`, (k,) or for all."""
+        return self._replace(errors=self.errors / np.maximum(amplitude, TINY))
+
+
+def told_across(X: FloatArray, y: FloatArray, gram: FloatArray, noise: FloatArray) -> Across:
+    """Points X (n, d) of values y (n, k) told by the others, a side at a time.
+
+    `gram` (n, n) is the kernel at X and `noise` (n,) what is added to its diagonal. A side is seen from the middle
+    towards the points that are furthest from it and from each other, so that it turns with them.
+    """
+    n, away = len(X), X - X.mean(axis=0)
+    clear, parts = np.sum(away**2, axis=1), []
+    for share in SIDES:
+        towards = int(np.argmax(clear))
+        clear = np.minimum(clear, np.sum((X - X[towards]) ** 2, axis=1))
+        order = np.argsort(away @ away[towards], kind="stable")
+        rest, side = np.split(order, [n - max(1, round(share * n))])
+        dense = Dense(gram[np.ix_(rest, rest)], 1 / noise[rest], 1.0)
+        coefficients, bias = dense.solve(y[rest])
+        cross = gram[np.ix_(rest, side)]
+        parts.append(
+            Across(
+                y[side] - cross.T @ coefficients - bias,
+                dense.posterior_variance(cross),
+                dense.smoothing * noise[side],
+                np.full(len(side), 1 / len(side)),
+            )
+        )
+    return Across(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+
+def growth(told: Sequence[Across], scale: FloatArray, usual: float) -> FloatArray:
+    """Exponents, shape (k,), that make a band of `WIDTH` deviations hold `SHARE` of the points on the other side.
+
+    A point counts by the logarithm of how far its variance is beyond the `usual`; `scale` (k,) is the factor on
+    deviations.
+    """
+    if not told:
+        return np.zeros(len(scale))
+    errors, variances, noise, shares = (np.concatenate(part) for part in zip(*told, strict=True))
+    far = variances > FAR * usual
+    if not far.any():
+        return np.zeros(len(scale))
+    ways = np.log(variances[far] / usual)
+    wanted = (errors[far] / (WIDTH * np.maximum(scale, TINY))) ** 2 - noise[far, None]
+    exponents = np.log(np.maximum(wanted / variances[far, None], TINY)) / ways[:, None]
+    order = np.argsort(exponents, axis=0, kind="stable")
+    held = np.cumsum((shares[far] * ways)[order], axis=0)
+    at = np.argmax(held >= SHARE * held[-1], axis=0)
+    found = np.take_along_axis(exponents, order, axis=0)[at, np.arange(len(scale))]
+    return np.asarray(np.clip(found, 0.0, STEEPEST))

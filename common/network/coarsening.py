@@ -122,8 +122,8 @@ def coarsened(
         network = fit(bins.straightened(fit(bins.samples, True)), False)
         if _better(network, partition, varying) and not _misses(network, samples, bins, varying):
             # What is finer than the points is told by the points, not by their means.
-            detail = np.where(partition.detail > TOLD, partition.detail, 0.0)
-            network.excess = network.calibration**2 * network.smoothing * network.variance * detail
+            detail = partition.calibration.detail
+            network.calibration = replace(network.calibration, detail=np.where(detail > TOLD, detail, 0.0))
             tick(1.0)
             return network
     tick(1.0)

@@ -8,6 +8,7 @@ from typing import Any, Self
 import numpy as np
 
 from common.network import evaluation
+from common.network.calibration import Calibration
 from common.network.dense import Dense
 from common.network.kernel import Kernel, chunks
 from common.surface import FloatArray
@@ -28,10 +29,10 @@ class Expansion:
         The points that the deviation is conditioned on, and the measurements behind each.
     kernel, smoothing, variance
         Of the candidate that the deviation is computed with.
-    calibration : ndarray, shape (k,)
-        Factor on the deviation.
+    calibration : Calibration
+        Of that deviation.
     excess : ndarray, shape (k,)
-        Variance that the posterior does not know of: detail finer than the points, what fewer centres leave.
+        Variance that it does not know of: what fewer centres than points leave.
     """
 
     centers: FloatArray
@@ -43,7 +44,7 @@ class Expansion:
     kernel: Kernel
     smoothing: float
     variance: float
-    calibration: FloatArray
+    calibration: Calibration
     excess: FloatArray
     _factor: Dense | None = field(default=None, repr=False)
 
@@ -61,8 +62,8 @@ class Expansion:
 
     def predict_std(self, X: FloatArray) -> FloatArray:
         """Deviation of the surface at X (m, d), without the noise of a new measurement, shape (m, k)."""
-        variance = self.variance * self.posterior_variance(X)
-        return np.asarray(np.sqrt(self.calibration**2 * variance[:, None] + self.excess))
+        variance = self.calibration.variance(self.posterior_variance(X), self.smoothing)
+        return np.asarray(np.sqrt(self.variance * variance + self.excess))
 
     def posterior_variance(self, X: FloatArray) -> FloatArray:
         """Variance at X (m, d) over that of the surface, as the kernel has it, shape (m,)."""
@@ -76,6 +77,7 @@ class Expansion:
     def to_state(self) -> dict[str, np.ndarray[Any, Any]]:
         """Everything, as arrays that `numpy.savez` takes without pickling."""
         state = {name: np.asarray(getattr(self, name)) for name in (*_ARRAYS, *_NUMBERS)}
+        state |= self.calibration.to_state()
         return state | {"kernel_spreads": self.kernel.spreads, "kernel_amplitudes": self.kernel.amplitudes}
 
     @classmethod
@@ -85,9 +87,10 @@ class Expansion:
         values |= {name: float(state[name]) for name in _NUMBERS}
         return cls(
             **values,
+            calibration=Calibration.from_state(state),
             kernel=Kernel(np.array(state["kernel_spreads"]), np.array(state["kernel_amplitudes"])),
         )
 
 
-_ARRAYS = ("centers", "spreads", "coefficients", "bias", "support", "weights", "calibration", "excess")
+_ARRAYS = ("centers", "spreads", "coefficients", "bias", "support", "weights", "excess")
 _NUMBERS = ("smoothing", "variance")

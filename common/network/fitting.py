@@ -193,7 +193,6 @@ def _train_dense(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
 
 def _expansion(samples: Samples, fit: Fit) -> Expansion:
     """The fit of these samples, every one a centre."""
-    calibration = calibrated(samples.X, fit)
     return Expansion(
         centers=samples.X,
         spreads=fit.spreads,
@@ -204,8 +203,8 @@ def _expansion(samples: Samples, fit: Fit) -> Expansion:
         kernel=fit.kernel,
         smoothing=fit.smoothing,
         variance=fit.variance,
-        calibration=calibration.factor,
-        excess=calibration.excess,
+        calibration=calibrated(samples, fit),
+        excess=np.zeros(samples.y.shape[1]),
     )
 
 
@@ -217,7 +216,6 @@ def _train_sparse(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
     rows = np.setdiff1d(rows, suspects)
     few = samples.take(rows)
     fit = _select(few, wanted, tick)
-    calibration = calibrated(few.X, fit)
     samples = samples.without(suspects)
     none = np.zeros((0, 0))
     network = Expansion(
@@ -230,8 +228,8 @@ def _train_sparse(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
         kernel=fit.kernel,
         smoothing=fit.smoothing,
         variance=fit.variance,
-        calibration=calibration.factor,
-        excess=calibration.excess,
+        calibration=calibrated(few, fit),
+        excess=np.zeros(samples.y.shape[1]),
     )
     trained = Trained(network, suspects, np.zeros(0))
     chosen = _thin(trained, network, samples, wanted, tick)
@@ -255,7 +253,7 @@ def _thin(trained: Trained, network: Expansion, samples: Samples, wanted: Wanted
     network.centers, network.spreads = samples.X[chosen.indices], network.kernel.spreads
     network.coefficients = network.kernel.amplitudes[:, None, None] * chosen.coefficients
     left = np.mean((network.predict(samples.X) - samples.y) ** 2, axis=0)
-    network.excess = network.excess + np.maximum(0.0, left - network.smoothing * network.variance)
+    network.excess = np.maximum(0.0, left - network.smoothing * network.variance)
     trained.history, trained.stop_reason = chosen.history, chosen.stop_reason
     return chosen.indices
 

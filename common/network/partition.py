@@ -24,6 +24,7 @@ from scipy.spatial import KDTree
 
 from common.errors import TrainingError
 from common.network import calibration, local
+from common.network.calibration import Across, Calibration
 from common.network.cover import Cover, Frame, frame_for, ragged, step
 from common.network.dense import Dense
 from common.network.kernel import Kernel
@@ -73,6 +74,9 @@ FEW, MORE = 16, 64
 
 CHECKED = 96
 """Patches whose points are held against the network without them."""
+
+ACROSS = 8
+"""Patches in which a side is told by the points of the other."""
 
 LADDER: FloatArray = np.asarray(24.0 / 2.0 ** np.arange(7))
 """Spreads of the ladder in mean spacings; a patch is about ten spacings wide. A step of two is as good as the dense
@@ -149,9 +153,8 @@ class Partition:
     bias : ndarray, shape (patches, k)
     amplitude : ndarray, shape (patches, k)
         Deviation of the surface about the bias of each patch, as its kernel explains it.
-    factor, detail : ndarray, shape (k,)
-        Factor on the posterior deviation, and the share of the smoothing that is detail of the surface, not noise; see
-        `calibration`.
+    calibration : Calibration
+        Of the deviation.
     """
 
     cover: Cover
@@ -165,8 +168,7 @@ class Partition:
     coefficients: FloatArray
     bias: FloatArray
     amplitude: FloatArray
-    factor: FloatArray
-    detail: FloatArray
+    calibration: Calibration
 
     @classmethod
     def fit(
@@ -227,9 +229,8 @@ class Partition:
             spacings[:] = spread / frame.side
         patches = len(cover)
         empty, unit = np.zeros((0, 0)), Kernel.single(1.0)
-        made = cls(
-            cover, u, share, starts, members, spacings, unit, np.zeros(patches), empty, empty, empty, empty, empty
-        )
+        unknown = Calibration.unknown(outputs)
+        made = cls(cover, u, share, starts, members, spacings, unit, np.zeros(patches), empty, empty, empty, unknown)
         kernel, level = made._chosen(values, spread, smoothing, told)
         made.kernel, made.smoothing = kernel, np.full(patches, level)
         made._solve(values, told)
@@ -241,7 +242,7 @@ class Partition:
                 if kernel is not made.kernel:
                     made.kernel, made.smoothing = kernel, np.full(patches, level)
                     made._solve(values, told)
-        made._calibrate(values)
+        made.calibration = made._calibrated(values)
         return made
 
     def to_state(self) -> dict[str, np.ndarray[Any, Any]]:
@@ -250,6 +251,7 @@ class Partition:
         state: dict[str, np.ndarray[Any, Any]] = {name: getattr(self, name) for name in _ARRAYS}
         state |= {"low": frame.low, "side": np.array(frame.side), "extent": frame.extent}
         state |= {"codes": tree.codes, "levels": tree.levels}
+        state |= self.calibration.to_state()
         return state | {"spreads": self.kernel.spreads, "amplitudes": self.kernel.amplitudes}
 
     @classmethod
@@ -261,6 +263,7 @@ class Partition:
         return cls(
             cover=Cover(frame, tree),
             kernel=Kernel(np.array(state["spreads"]), np.array(state["amplitudes"])),
+            calibration=Calibration.from_state(state),
             **arrays,
         )
 
@@ -420,25 +423,41 @@ class Partition:
         kernel, level = np.unravel_index(int(np.argmin(total)), total.shape)
         return kernels[kernel], float(smoothings[level])
 
-    def _calibrate(self, values: FloatArray) -> None:
-        """Factor and detail from the leave-one-out residuals in the cells of a sample of patches."""
+    def _calibrated(self, values: FloatArray) -> Calibration:
+        """From the leave-one-out residuals in the cells of a sample of patches, and the sides of some of these."""
+        outputs = values.shape[1]
         sample = np.random.default_rng(0).permutation(len(self))[:CHECKED]
         found = parallel(self.left_out, sample.tolist())
         rows, _, residuals, deviations = (np.concatenate(part) for part in zip(*found, strict=True))
         ratios = residuals / np.maximum(deviations, TINY)
-        counts = [len(part[0]) for part in found]
-        amplitude = np.maximum(self.amplitude[sample], TINY)
-        smoothed = np.repeat(self.smoothing[sample, None] * amplitude**2, counts, axis=0)
+        patches = np.repeat(sample, [len(part[0]) for part in found])
+        amplitude = np.maximum(self.amplitude[patches], TINY)
+        smoothing = self.smoothing[patches, None]
         # What is flat is known to the last bit, and tells nothing of the rest.
         lively = np.any(deviations > FLAT, axis=1)
         ratios[~lively] = 0.0
-        self.factor, self.detail = np.ones(values.shape[1]), np.ones(values.shape[1])
-        if lively.any():
-            self.factor = calibration.factor(ratios[lively])
-        noisy = np.median(smoothed, axis=0) > calibration.DETAIL * values.var(axis=0)
+        if not lively.any():
+            return Calibration.unknown(outputs)
+        factor, detail = calibration.factor(ratios[lively]), np.ones(outputs)
+        noisy = np.median(smoothing * amplitude**2, axis=0) > calibration.DETAIL * values.var(axis=0)
         if noisy.any():
-            told = ratios / np.maximum(self.factor, TINY)
-            self.detail[noisy] = 1 - calibration.noise_share(self.u[rows], told)[noisy]
+            told = ratios / np.maximum(factor, TINY)
+            detail[noisy] = 1 - calibration.noise_share(self.u[rows], told)[noisy]
+        variances = (deviations / amplitude) ** 2 - smoothing / self.weights[rows, None]
+        usual = calibration.usual_variance(variances[lively])
+        full = np.diff(self.starts)[sample] >= calibration.FEWEST
+        asked = sample[full & np.any(self.amplitude[sample] > FLAT, axis=1)][:ACROSS]
+        told_across = parallel(lambda patch: self._told_across(patch, values), asked.tolist())
+        return Calibration(factor, detail, calibration.growth(told_across, factor, usual), usual)
+
+    def _told_across(self, patch: int, values: FloatArray) -> Across:
+        """What the points of a patch tell of each other across it."""
+        points, slots, _ = self._batch(np.array([patch]))
+        members = self.members[slots[0]]
+        gram = Levels(self.kernel).matrix(points, points)[0]
+        noise = self.smoothing[patch] / self.weights[members]
+        amplitude = np.where(self.amplitude[patch] > FLAT, self.amplitude[patch], np.inf)
+        return calibration.told_across(points[0], values[members], gram, noise).over(amplitude)
 
     def left_out(self, patch: int) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
         """The points in the cell of a patch, and what the patch says of each without it.
@@ -504,9 +523,8 @@ class Partition:
             one = inverse @ real[:, :, None].astype(np.float64)
             gap = 1 - (one.transpose(0, 2, 1) @ half)[:, 0]
             variance = 1 - np.square(half).sum(axis=1) + gap**2 / np.square(one).sum(axis=1)
-            detail = self.smoothing[patches, None, None] * self.detail
-            deviation = np.sqrt(np.maximum(variance, 0.0)[:, :, None] + detail)
-            return np.asarray(self.factor * self.amplitude[patches, None] * deviation)
+            told = self.calibration.variance(np.maximum(variance, 0.0), self.smoothing[patches, None])
+            return np.asarray(self.amplitude[patches, None] * np.sqrt(told))
 
         blended, _ = self._blended(X, self.amplitude.shape[1], deviations)
         return blended
@@ -652,7 +670,7 @@ class Partition:
 
 _ARRAYS = (
     *("u", "weights", "starts", "members", "spacings"),
-    *("smoothing", "coefficients", "bias", "amplitude", "factor", "detail"),
+    *("smoothing", "coefficients", "bias", "amplitude"),
 )
 
 

@@ -377,7 +377,7 @@ def test_the_band_of_points_on_tracks_is_narrow() -> None:
     rng = np.random.default_rng(5)
     X = np.column_stack([rng.uniform(-1, 1, 6000), rng.integers(0, 6, 6000) / 3 - 1])
     fitted = Partition.fit(X, sine(X)[:, None])
-    assert fitted.factor < 10
+    assert fitted.calibration.factor < 10
     assert np.median(fitted.predict_std(X[::10] + np.array([1e-4, 0.0]))) < 1e-6
 
 
