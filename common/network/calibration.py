@@ -56,8 +56,11 @@ SIDES = (1 / 8, 1 / 4, 1 / 2, 1 / 8, 1 / 4, 1 / 2)
 TOGETHER = 250
 """Points that are told by those on the other side, and tell them, at most."""
 
-FAR = 4.0
-"""Variance, over the one that is usual at a point, from where on its growth is told."""
+USUAL = 0.9
+"""Share of the points of which the variance is usual: what is sparse, or at the rim, has more."""
+
+FAR = 1.5
+"""Variance, over the usual one, from where on its growth is told: less tells hardly anything of an exponent."""
 
 STEEPEST = 1.0
 """Greatest growth: the deviation goes by the square of what the kernel says."""
@@ -76,7 +79,7 @@ class Calibration:
     growth : ndarray, shape (k,)
         Exponent by which the variance grows faster than v where this is more than usual.
     usual : float
-        Median of v at the points, each left out.
+        What v exceeds at few points, each left out.
     """
 
     factor: FloatArray
@@ -126,8 +129,8 @@ def calibrated(samples: Samples, fit: Fit) -> Calibration:
 
 
 def usual_variance(variances: FloatArray) -> float:
-    """Of the surface at the points, from what the kernel says of each without it, noise taken off."""
-    return max(float(np.median(variances)), NOTHING)
+    """What few points exceed, from the variance that the kernel gives each without it, noise taken off."""
+    return max(float(np.quantile(variances, USUAL)), NOTHING)
 
 
 def factor(ratios: FloatArray) -> FloatArray:
