@@ -62,8 +62,8 @@ USUAL = 0.9
 FAR = 1.5
 """Variance, over the usual one, from where on its growth is told: less tells hardly anything of an exponent."""
 
-STEEPEST = 1.0
-"""Greatest growth: the deviation goes by the square of what the kernel says."""
+STEEPEST = 1.5
+"""Greatest growth: beyond it a band holds everything and tells nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -302,7 +302,8 @@ class Partition:
         self, values: FloatArray, spread: float | str, smoothing: float | str, tick: Tick
     ) -> tuple[Kernel, float]:
         """Kernel and smoothing that foretell the points of a sample of patches best, each left out of its own."""
-        kernels = _kernels() if spread == "auto" else [Kernel.single(1.0)]
+        rough, smooth = (_ladders(), _smooth()) if spread == "auto" else ([], [Kernel.single(1.0)])
+        kernels = [*rough, *smooth]
         counts = np.diff(self.starts)
         floor = rounding_floor(int(counts.max()))
         if smoothing != "auto":
@@ -315,7 +316,7 @@ class Partition:
         drawn = np.random.default_rng(0).permutation(usual if len(usual) else np.arange(len(self)))
         tick("selection", 0.0)
         total, likely, asked = np.zeros((2, len(kernels), len(smoothings))), np.arange(len(kernels)), 0
-        ladders = likely < (len(ROUGHNESS) if spread == "auto" else 0)
+        ladders = likely < len(rough)
         most = max(FEW, min(MORE, len(self) // 4))
         for until, kept in (*ROUNDS, (most, 1)):
             total[:, likely] += self._summed(drawn[asked:until], values, [kernels[i] for i in likely], smoothings)
@@ -411,8 +412,7 @@ class Partition:
         The kernel that is there stays where the ladder leaves `FAR_MORE`, since that kernel errs more between the
         points, where nothing tells; where noise hides what a kernel leaves, unless the ladder leaves clearly less.
         """
-        ladders = [kernel for kernel, roughness in zip(_kernels(), ROUGHNESS, strict=False) if roughness <= CALM]
-        kernels = [self.kernel, *ladders]
+        kernels = [self.kernel, *_ladders(CALM)]
         smoothings = SMOOTHINGS[rounding_floor(int(np.diff(self.starts).max())) <= SMOOTHINGS]
         rng, total = np.random.default_rng(0), np.zeros((len(kernels), len(smoothings)))
         for patches in (loud, np.setdiff1d(np.arange(len(self)), loud)):
@@ -674,11 +674,15 @@ _ARRAYS = (
 )
 
 
-def _kernels() -> list[Kernel]:
-    """Ladders of every roughness, multiquadrics and single Gaussians."""
-    ladders = [Kind("ladder", roughness).kernel(LADDER) for roughness in ROUGHNESS]
+def _ladders(most: float = np.inf) -> list[Kernel]:
+    """Ladders of every roughness up to that."""
+    return [Kind("ladder", roughness).kernel(LADDER) for roughness in ROUGHNESS if roughness <= most]
+
+
+def _smooth() -> list[Kernel]:
+    """Multiquadrics and single Gaussians."""
     multiquadrics = [Kind("multiquadric", scale).kernel(LADDER / 2) for scale in SCALES]
-    return [*ladders, *multiquadrics, *(Kernel.single(spread) for spread in SINGLE)]
+    return [*multiquadrics, *(Kernel.single(spread) for spread in SINGLE)]
 
 
 def _runs(size: IntArray, budget: int) -> list[slice]:

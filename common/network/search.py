@@ -33,6 +33,7 @@ from common.network.selection import (
     average,
     believed,
     combine,
+    left_out_nll,
     rounding_floor,
     score,
     twins,
@@ -190,9 +191,9 @@ class _Search:
         restricted, variance = dense.restricted(samples, coefficients)
         (residuals, spread), (apart, variances) = dense.left_out(coefficients, *self.twins)
         self.rooms.append(room)
-        own = max(float(np.mean(apart**2 / variances[:, None])), TINY)
-        left_out = 0.5 * samples.y.shape[1] * float(n * np.log(own) + np.log(variances).sum())
-        value = float(score(n, np.array(left_out), np.array(dense.smoothing)))
+        own = np.maximum(np.mean(apart**2 / variances[:, None]), TINY)
+        nll = left_out_nll(n, samples.y.shape[1], own, np.log(variances).sum())
+        value = float(score(n, nll, np.array(dense.smoothing)))
         square = float(np.mean(apart**2))
         solution = Solution(coefficients, bias, residuals, spread)
         return _Trial(value, square, variance, restricted, solution, dense.smoothing)

@@ -281,7 +281,7 @@ class Spectra:
         own = squares.mean(axis=1) / outputs
         spread = np.log(diagonal).sum(axis=1) + np.log(self.samples.weights).sum()
         square = ((squares / diagonal) / self.samples.weights[:, None]).mean(axis=1) / outputs
-        return restricted, 0.5 * outputs * (n * np.log(own) - spread), square, variance
+        return restricted, left_out_nll(n, outputs, own, -spread), square, variance
 
     def _projected(
         self, inverse: FloatArray, one_one: FloatArray, one_y: FloatArray, along_one: FloatArray
@@ -373,6 +373,15 @@ class Scored:
     def best(self) -> Candidate:
         """The candidate of the least score."""
         return self.candidates[self.least]
+
+
+def left_out_nll(n: int, outputs: int, own: FloatArray, logs: FloatArray) -> FloatArray:
+    """Negative logarithm of the leave-one-out density of n points.
+
+    From the mean square of the residuals over their deviations, `own`, and the sum of the logarithms of their
+    variances, which are known up to a factor: it is the one that suits the residuals best.
+    """
+    return np.asarray(0.5 * outputs * (n * np.log(own) + logs))
 
 
 def score(n: int, leave_one_out: FloatArray, smoothings: FloatArray) -> FloatArray:

@@ -136,19 +136,19 @@ def test_noise_is_smoothed() -> None:
 
 
 def test_a_cliff_in_a_smooth_surface_does_not_explode() -> None:
-    def cliff(X: FloatArray) -> FloatArray:
+    def harbour(X: FloatArray) -> FloatArray:
         return np.asarray(100.0 * (X[:, 0] > 500) + 5 * np.sin(X[:, 0] / 60) * np.cos(X[:, 1] / 50))
 
     rng = np.random.default_rng(1)
     X, Q = rng.uniform(0, 1000, (4500, 2)), rng.uniform(0, 1000, (5000, 2))
-    network = RBFNetwork().fit(X, cliff(X))
+    network = RBFNetwork().fit(X, harbour(X))
     assert not len(network.outliers_)
     axis = np.linspace(0, 1000, 300)
     grid = network.predict_grid(axis, axis)
     assert -55 < grid.min() < -5
     assert 105 < grid.max() < 155
-    theirs = np.mean((cliff(Q) - RBFInterpolator(X, cliff(X), neighbors=50)(Q)) ** 2)
-    assert np.mean((cliff(Q) - network.predict(Q)) ** 2) < 1.2 * theirs
+    theirs = np.mean((harbour(Q) - RBFInterpolator(X, harbour(X), neighbors=50)(Q)) ** 2)
+    assert np.mean((harbour(Q) - network.predict(Q)) ** 2) < 1.2 * theirs
 
 
 def ridge(X: FloatArray) -> FloatArray:
