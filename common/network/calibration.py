@@ -23,7 +23,7 @@ from scipy.spatial import KDTree
 from scipy.special import betaincinv, chdtri
 
 from common.network.dense import Dense
-from common.network.selection import NOTHING, TINY, Fit, Samples
+from common.network.selection import NOTHING, TINY, Fit
 from common.surface import FloatArray
 
 SHARE, WIDTH = 0.95, 1.96
@@ -76,26 +76,44 @@ class Calibration:
         On the deviation.
     detail : ndarray, shape (k,)
         Share of the smoothing that is detail finer than the points, not noise.
-    growth : ndarray, shape (k,)
-        Exponent by which the variance grows faster than v where this is more than usual.
     usual : float
         What v exceeds at few points, each left out.
     """
 
     factor: FloatArray
     detail: FloatArray
-    growth: FloatArray
     usual: float
 
     @classmethod
     def unknown(cls, outputs: int, factor: float = 1.0) -> Self:
         """The variance that the kernel says, but for a factor on the deviation."""
-        return cls(np.full(outputs, factor), np.zeros(outputs), np.zeros(outputs), 1.0)
+        return cls(np.full(outputs, factor), np.zeros(outputs), np.inf)
 
-    def variance(self, v: FloatArray, smoothing: FloatArray | float) -> FloatArray:
-        """Of a surface of unit variance, shape (..., k), where the kernel says v (...)."""
-        grown = v[..., None] * np.maximum(v[..., None] / self.usual, 1.0) ** self.growth
+    def variance(self, v: FloatArray, growth: FloatArray, smoothing: FloatArray | float) -> FloatArray:
+        """Of a surface of unit variance, shape (..., k), where the kernel says v (...); `growth` (k,)."""
+        grown = v[..., None] * np.maximum(v[..., None] / self.usual, 1.0) ** growth
         return np.asarray(self.factor**2 * (grown + np.asarray(smoothing)[..., None] * self.detail))
+
+    def growth(self, told: Sequence[Across]) -> FloatArray:
+        """Exponents, shape (k,), by which the variance grows faster than v where this is more than usual.
+
+        They make a band of `WIDTH` deviations hold `SHARE` of the points that are told by those on the other side. Each
+        counts by the logarithm of how far its variance is beyond the usual one.
+        """
+        if not told:
+            return np.zeros(len(self.factor))
+        errors, variances, noise, shares = (np.concatenate(part) for part in zip(*told, strict=True))
+        far = variances > FAR * self.usual
+        if not far.any():
+            return np.zeros(len(self.factor))
+        ways = np.log(variances[far] / self.usual)
+        wanted = (errors[far] / (WIDTH * np.maximum(self.factor, TINY))) ** 2 - noise[far, None]
+        exponents = np.log(np.maximum(wanted / variances[far, None], TINY)) / ways[:, None]
+        order = np.argsort(exponents, axis=0, kind="stable")
+        held = np.cumsum((shares[far] * ways)[order], axis=0)
+        at = np.argmax(held >= SHARE * held[-1], axis=0)
+        found = np.take_along_axis(exponents, order, axis=0)[at, np.arange(len(self.factor))]
+        return np.asarray(np.clip(found, 0.0, STEEPEST))
 
     def to_state(self) -> dict[str, FloatArray]:
         """Everything, as arrays."""
@@ -104,15 +122,15 @@ class Calibration:
     @classmethod
     def from_state(cls, state: Mapping[str, np.ndarray[Any, Any]]) -> Self:
         """The calibration that `to_state` wrote."""
-        factor, detail, growth, usual = (np.array(state[name]) for name in _FIELDS)
-        return cls(factor, detail, growth, float(usual))
+        factor, detail, usual = (np.array(state[name]) for name in _FIELDS)
+        return cls(factor, detail, float(usual))
 
 
-_FIELDS = ("factor", "detail", "growth", "usual")
+_FIELDS = ("factor", "detail", "usual")
 
 
-def calibrated(samples: Samples, fit: Fit) -> Calibration:
-    """The calibration of the best candidate's posterior for the average of the candidates, fitted to the samples."""
+def calibrated(X: FloatArray, fit: Fit) -> Calibration:
+    """The calibration of the best candidate's posterior for the average of the candidates, fitted at X (n, d)."""
     n, outputs = fit.residuals.shape
     if n < FEWEST:
         return Calibration.unknown(outputs, UNSURE)
@@ -120,12 +138,8 @@ def calibrated(samples: Samples, fit: Fit) -> Calibration:
     scale = factor(ratios)
     detail = np.ones(outputs)
     if fit.smoothing * fit.variance > DETAIL:
-        detail = 1 - noise_share(samples.X, ratios / np.maximum(scale, TINY))
-    usual = usual_variance(fit.spread - fit.smoothing / fit.weights)
-    some = np.sort(np.random.default_rng(0).permutation(n)[:TOGETHER])
-    few = samples.take(some)
-    sides = told_across(few.X, few.y, fit.kernel.gram(few.X), fit.smoothing / fit.weights[some])
-    return Calibration(scale, detail, growth([sides.over(np.sqrt(fit.variance))], scale, usual), usual)
+        detail = 1 - noise_share(X, ratios / np.maximum(scale, TINY))
+    return Calibration(scale, detail, usual_variance(fit.spread - fit.smoothing / fit.weights))
 
 
 def usual_variance(variances: FloatArray) -> float:
@@ -198,25 +212,3 @@ def told_across(X: FloatArray, y: FloatArray, gram: FloatArray, noise: FloatArra
             )
         )
     return Across(*(np.concatenate(part) for part in zip(*parts, strict=True)))
-
-
-def growth(told: Sequence[Across], scale: FloatArray, usual: float) -> FloatArray:
-    """Exponents, shape (k,), that make a band of `WIDTH` deviations hold `SHARE` of the points on the other side.
-
-    A point counts by the logarithm of how far its variance is beyond the `usual`; `scale` (k,) is the factor on
-    deviations.
-    """
-    if not told:
-        return np.zeros(len(scale))
-    errors, variances, noise, shares = (np.concatenate(part) for part in zip(*told, strict=True))
-    far = variances > FAR * usual
-    if not far.any():
-        return np.zeros(len(scale))
-    ways = np.log(variances[far] / usual)
-    wanted = (errors[far] / (WIDTH * np.maximum(scale, TINY))) ** 2 - noise[far, None]
-    exponents = np.log(np.maximum(wanted / variances[far, None], TINY)) / ways[:, None]
-    order = np.argsort(exponents, axis=0, kind="stable")
-    held = np.cumsum((shares[far] * ways)[order], axis=0)
-    at = np.argmax(held >= SHARE * held[-1], axis=0)
-    found = np.take_along_axis(exponents, order, axis=0)[at, np.arange(len(scale))]
-    return np.asarray(np.clip(found, 0.0, STEEPEST))

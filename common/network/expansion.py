@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 
 from common.network import evaluation
-from common.network.calibration import Calibration
+from common.network.calibration import TOGETHER, Across, Calibration, told_across
 from common.network.dense import Dense
 from common.network.kernel import Kernel, chunks
 from common.surface import FloatArray
@@ -25,8 +25,8 @@ class Expansion:
         Descending.
     coefficients : ndarray, shape (levels, n, k)
     bias : ndarray, shape (k,)
-    support, weights : ndarray, shapes (m, d) and (m,)
-        The points that the deviation is conditioned on, and the measurements behind each.
+    support, values, weights : ndarray, shapes (m, d), (m, k) and (m,)
+        The points that the deviation is conditioned on, their values, and the measurements behind each.
     kernel, smoothing, variance
         Of the candidate that the deviation is computed with.
     calibration : Calibration
@@ -40,6 +40,7 @@ class Expansion:
     coefficients: FloatArray
     bias: FloatArray
     support: FloatArray
+    values: FloatArray
     weights: FloatArray
     kernel: Kernel
     smoothing: float
@@ -47,6 +48,7 @@ class Expansion:
     calibration: Calibration
     excess: FloatArray
     _factor: Dense | None = field(default=None, repr=False)
+    _growth: FloatArray | None = field(default=None, repr=False)
 
     def predict(self, X: FloatArray) -> FloatArray:
         """Values at X (m, d), shape (m, k)."""
@@ -62,8 +64,16 @@ class Expansion:
 
     def predict_std(self, X: FloatArray) -> FloatArray:
         """Deviation of the surface at X (m, d), without the noise of a new measurement, shape (m, k)."""
-        variance = self.calibration.variance(self.posterior_variance(X), self.smoothing)
+        if self._growth is None:
+            self._growth = self.calibration.growth([self._told_across()])
+        variance = self.calibration.variance(self.posterior_variance(X), self._growth, self.smoothing)
         return np.asarray(np.sqrt(self.variance * variance + self.excess))
+
+    def _told_across(self) -> Across:
+        """What the points tell of each other across the surface."""
+        some = np.sort(np.random.default_rng(0).permutation(len(self.support))[:TOGETHER])
+        X, noise = self.support[some], self.smoothing / self.weights[some]
+        return told_across(X, self.values[some], self.kernel.gram(X), noise).over(np.sqrt(self.variance))
 
     def posterior_variance(self, X: FloatArray) -> FloatArray:
         """Variance at X (m, d) over that of the surface, as the kernel has it, shape (m,)."""
@@ -92,5 +102,5 @@ class Expansion:
         )
 
 
-_ARRAYS = ("centers", "spreads", "coefficients", "bias", "support", "weights", "excess")
+_ARRAYS = ("centers", "spreads", "coefficients", "bias", "support", "values", "weights", "excess")
 _NUMBERS = ("smoothing", "variance")

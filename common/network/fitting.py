@@ -199,11 +199,12 @@ def _expansion(samples: Samples, fit: Fit) -> Expansion:
         coefficients=fit.coefficients,
         bias=fit.bias,
         support=samples.X,
+        values=samples.y,
         weights=fit.weights,
         kernel=fit.kernel,
         smoothing=fit.smoothing,
         variance=fit.variance,
-        calibration=calibrated(samples, fit),
+        calibration=calibrated(samples.X, fit),
         excess=np.zeros(samples.y.shape[1]),
     )
 
@@ -224,16 +225,17 @@ def _train_sparse(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
         coefficients=none,
         bias=fit.bias,
         support=none,
+        values=none,
         weights=none,
         kernel=fit.kernel,
         smoothing=fit.smoothing,
         variance=fit.variance,
-        calibration=calibrated(few, fit),
+        calibration=calibrated(few.X, fit),
         excess=np.zeros(samples.y.shape[1]),
     )
     trained = Trained(network, suspects, np.zeros(0))
     chosen = _thin(trained, network, samples, wanted, tick)
-    network.support, network.weights = samples.X[chosen], samples.weights[chosen]
+    network.support, network.values, network.weights = samples.X[chosen], samples.y[chosen], samples.weights[chosen]
     tick("solve", 1.0)
     return trained
 

@@ -16,7 +16,7 @@ are, so every place is covered.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, Self, TypeAlias
 
 import numpy as np
@@ -169,6 +169,7 @@ class Partition:
     bias: FloatArray
     amplitude: FloatArray
     calibration: Calibration
+    _growth: FloatArray | None = field(default=None, repr=False)
 
     @classmethod
     def fit(
@@ -444,20 +445,32 @@ class Partition:
             told = ratios / np.maximum(factor, TINY)
             detail[noisy] = 1 - calibration.noise_share(self.u[rows], told)[noisy]
         variances = (deviations / amplitude) ** 2 - smoothing / self.weights[rows, None]
-        usual = calibration.usual_variance(variances[lively])
-        full = np.diff(self.starts)[sample] >= calibration.FEWEST
-        asked = sample[full & np.any(self.amplitude[sample] > FLAT, axis=1)][:ACROSS]
-        told_across = parallel(lambda patch: self._told_across(patch, values), asked.tolist())
-        return Calibration(factor, detail, calibration.growth(told_across, factor, usual), usual)
+        return Calibration(factor, detail, calibration.usual_variance(variances[lively]))
 
-    def _told_across(self, patch: int, values: FloatArray) -> Across:
+    def _grown(self) -> FloatArray:
+        """Exponents by which the deviation grows in gaps and beyond the edge, from the sides of some patches."""
+        if self._growth is None:
+            telling = (np.diff(self.starts) >= calibration.FEWEST) & np.any(self.amplitude > FLAT, axis=1)
+            asked = np.random.default_rng(0).permutation(np.flatnonzero(telling))[:ACROSS]
+            self._growth = self.calibration.growth(parallel(self._told_across, asked.tolist()))
+        return self._growth
+
+    def _told_across(self, patch: int) -> Across:
         """What the points of a patch tell of each other across it."""
-        points, slots, _ = self._batch(np.array([patch]))
-        members = self.members[slots[0]]
-        gram = Levels(self.kernel).matrix(points, points)[0]
-        noise = self.smoothing[patch] / self.weights[members]
+        points, gram, noise, values = self._problem(patch)
         amplitude = np.where(self.amplitude[patch] > FLAT, self.amplitude[patch], np.inf)
-        return calibration.told_across(points[0], values[members], gram, noise).over(amplitude)
+        return calibration.told_across(points, values, gram, noise).over(amplitude)
+
+    def _problem(self, patch: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """What a patch was solved for.
+
+        Its points (m, 2) in mean spacings, the kernel (m, m), what is added to its diagonal (m,), the values (m, k).
+        """
+        points, slots, _ = self._batch(np.array([patch]))
+        coefficients = self.coefficients[slots[0]]
+        gram = Levels(self.kernel).matrix(points, points)[0]
+        noise = self.smoothing[patch] / self.weights[self.members[slots[0]]]
+        return points[0], gram, noise, gram @ coefficients + noise[:, None] * coefficients + self.bias[patch]
 
     def left_out(self, patch: int) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
         """The points in the cell of a patch, and what the patch says of each without it.
@@ -465,15 +478,14 @@ class Partition:
         Returns their rows (m,) of `u`, their values (m, k), the residuals (m, k), and the deviations (m, k) that these
         should have.
         """
-        points, slots, _ = self._batch(np.array([patch]))
-        members, coefficients = self.members[slots[0]], self.coefficients[slots[0]]
-        weights, smoothing = self.weights[members], self.smoothing[patch]
-        gram = Levels(self.kernel).matrix(points, points)[0]
-        values = gram @ coefficients + smoothing / weights[:, None] * coefficients + self.bias[patch]
-        residuals, variances = Dense(gram, weights, smoothing).leave_one_out(coefficients)
+        _, gram, _, values = self._problem(patch)
+        mine = slice(*self.starts[patch : patch + 2])
+        members = self.members[mine]
+        dense = Dense(gram, self.weights[members], self.smoothing[patch])
+        residuals, variances = dense.leave_one_out(self.coefficients[mine])
         deviations = np.maximum(self.amplitude[patch], TINY) * np.sqrt(np.maximum(variances, 0.0))[:, None]
-        mine = np.all(np.abs(self.u[members] - self.cover.centres[patch]) <= self.cover.sides[patch] / 2, axis=1)
-        return members[mine], values[mine], residuals[mine], deviations[mine]
+        inside = np.all(np.abs(self.u[members] - self.cover.centres[patch]) <= self.cover.sides[patch] / 2, axis=1)
+        return members[inside], values[inside], residuals[inside], deviations[inside]
 
     def predict_grid(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Values on a grid, shape (len(y), len(x), k): patch by patch, each a matrix product.
@@ -513,7 +525,7 @@ class Partition:
 
     def predict_std(self, X: FloatArray) -> FloatArray:
         """Standard deviation of the surface at X (m, 2), without the noise of a new measurement, shape (m, k)."""
-        levels = Levels(self.kernel)
+        levels, growth = Levels(self.kernel), self._grown()
 
         def deviations(patches: IntArray, places: FloatArray) -> FloatArray:
             points, slots, real = self._batch(patches)
@@ -523,7 +535,7 @@ class Partition:
             one = inverse @ real[:, :, None].astype(np.float64)
             gap = 1 - (one.transpose(0, 2, 1) @ half)[:, 0]
             variance = 1 - np.square(half).sum(axis=1) + gap**2 / np.square(one).sum(axis=1)
-            told = self.calibration.variance(np.maximum(variance, 0.0), self.smoothing[patches, None])
+            told = self.calibration.variance(np.maximum(variance, 0.0), growth, self.smoothing[patches, None])
             return np.asarray(self.amplitude[patches, None] * np.sqrt(told))
 
         blended, _ = self._blended(X, self.amplitude.shape[1], deviations)

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from common.network import RBFNetwork
-from common.network.calibration import SIDES, WIDTH, Across, Calibration, growth, told_across
+from common.network.calibration import SIDES, STEEPEST, WIDTH, Across, Calibration, told_across
 from common.network.kernel import Kernel
 from common.surface import FloatArray
 
@@ -16,35 +16,40 @@ def sines(X: FloatArray) -> FloatArray:
     return np.asarray(np.sin(8 * X[:, 0]) + np.sin(8 * X[:, 1]))
 
 
+def growth(told: Across, *, factor: float = 1.0, usual: float) -> FloatArray:
+    outputs = told.errors.shape[1]
+    return Calibration(np.full(outputs, factor), np.zeros(outputs), usual).growth([told])
+
+
 @pytest.mark.parametrize("exponent", [0.0, 0.2, 0.7])
 def test_the_growth_is_the_exponent_of_the_errors(exponent: float) -> None:
-    v, usual, scale = np.logspace(-6, 0, 200), 1e-7, np.array([2.0])
-    errors = WIDTH * scale * np.sqrt(v * (v / usual) ** exponent)
+    v, usual = np.logspace(-6, 0, 200), 1e-7
+    errors = WIDTH * 2 * np.sqrt(v * (v / usual) ** exponent)
     told = Across(errors[:, None], v, np.zeros(200), np.full(200, 1 / 200))
-    assert growth([told], scale, usual) == pytest.approx(exponent, abs=1e-9)
+    assert growth(told, factor=2.0, usual=usual) == pytest.approx(exponent, abs=1e-9)
 
 
 def test_the_growth_stays_within_its_bounds() -> None:
-    v, scale = np.logspace(-6, 0, 200), np.ones(2)
-    errors = np.column_stack([np.full(200, 1e9), np.zeros(200)])
-    told = Across(errors, v, np.zeros(200), np.ones(200))
-    np.testing.assert_array_equal(growth([told], scale, 1e-7), [1.5, 0.0])
-    np.testing.assert_array_equal(growth([told], scale, 1.0), [0.0, 0.0])
-    np.testing.assert_array_equal(growth([], scale, 1.0), [0.0, 0.0])
+    v = np.logspace(-6, 0, 200)
+    told = Across(np.column_stack([np.full(200, 1e9), np.zeros(200)]), v, np.zeros(200), np.ones(200))
+    np.testing.assert_array_equal(growth(told, usual=1e-7), [STEEPEST, 0.0])
+    np.testing.assert_array_equal(growth(told, usual=1.0), [0.0, 0.0])
+    np.testing.assert_array_equal(Calibration.unknown(2).growth([told]), [0.0, 0.0])
+    np.testing.assert_array_equal(Calibration.unknown(2).growth([]), [0.0, 0.0])
 
 
 def test_noise_is_not_taken_for_growth() -> None:
     v, one = np.logspace(-4, 0, 4000), np.ones(4000)
     errors = np.sqrt(v + 0.1) * np.random.default_rng(3).normal(size=4000)
-    assert growth([Across(errors[:, None], v, 0.1 * one, one)], one[:1], 1e-5) < 0.1
-    assert growth([Across(errors[:, None], v, 0 * one, one)], one[:1], 1e-5) > 0.3
+    assert growth(Across(errors[:, None], v, 0.1 * one, one), usual=1e-5) < 0.1
+    assert growth(Across(errors[:, None], v, 0 * one, one), usual=1e-5) > 0.3
 
 
 def test_the_variance_grows_only_where_it_is_more_than_usual() -> None:
-    made = Calibration(np.array([2.0, 1.0]), np.array([0.0, 0.5]), np.array([0.5, 0.0]), 0.01)
-    np.testing.assert_allclose(made.variance(np.array([0.001, 0.01, 0.04]), 0.2)[:, 0], [0.004, 0.04, 0.32])
-    np.testing.assert_allclose(made.variance(np.array([0.001, 0.01, 0.04]), 0.2)[:, 1], [0.101, 0.11, 0.14])
-    patches = made.variance(np.full((2, 1), 0.01), np.array([[0.0], [0.2]]))
+    made, exponents = Calibration(np.array([2.0, 1.0]), np.array([0.0, 0.5]), 0.01), np.array([0.5, 0.0])
+    told = made.variance(np.array([0.001, 0.01, 0.04]), exponents, 0.2)
+    np.testing.assert_allclose(told, np.transpose([[0.004, 0.04, 0.32], [0.101, 0.11, 0.14]]))
+    patches = made.variance(np.full((2, 1), 0.01), exponents, np.array([[0.0], [0.2]]))
     np.testing.assert_allclose(patches, [[[0.04, 0.01]], [[0.04, 0.11]]])
 
 
@@ -86,7 +91,7 @@ def test_a_surface_drawn_from_the_kernel_has_hardly_any_growth() -> None:
         gram = kernel.gram(X)
         y = np.linalg.cholesky(gram + 1e-8 * np.eye(120)) @ rng.normal(size=(120, 1))
         told = told_across(X, y, gram, np.full(120, 1e-8))
-        found.append(float(growth([told], np.ones(1), 1e-6)[0]))
+        found.append(float(growth(told, usual=1e-6)[0]))
     assert np.median(found) < 0.05
 
 
