@@ -30,7 +30,7 @@ SHARE, WIDTH = 0.95, 1.96
 """The share of the points that a band of this many deviations is to hold."""
 
 FEWEST = 20
-"""Points below which residuals do not tell such a quantile, and the factor is `UNSURE`."""
+"""Points below which residuals tell no such quantile, and the factor is `UNSURE`; nor do sides tell a growth."""
 
 UNSURE = 1.5
 
@@ -48,7 +48,6 @@ CALM = 0.25
 
 _CALM_SQUARE = float(chdtri(1, 1 - betaincinv((AROUND + 1) / 2, (AROUND + 1) / 2, CALM)))
 """Quantile `CALM` of the median of as many squared normal deviates as a neighbourhood has points."""
-
 
 SIDES = (1 / 8, 1 / 4, 1 / 2, 1 / 8, 1 / 4, 1 / 2)
 """Shares of the points that are left out together, each on a side of its own."""

@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 
 from common.network import evaluation
-from common.network.calibration import TOGETHER, Across, Calibration, told_across
+from common.network.calibration import FEWEST, TOGETHER, Across, Calibration, told_across
 from common.network.dense import Dense
 from common.network.kernel import Kernel, chunks
 from common.surface import FloatArray
@@ -65,7 +65,7 @@ class Expansion:
     def predict_std(self, X: FloatArray) -> FloatArray:
         """Deviation of the surface at X (m, d), without the noise of a new measurement, shape (m, k)."""
         if self._growth is None:
-            self._growth = self.calibration.growth([self._told_across()])
+            self._growth = self.calibration.growth([self._told_across()] if len(self.support) >= FEWEST else [])
         variance = self.calibration.variance(self.posterior_variance(X), self._growth, self.smoothing)
         return np.asarray(np.sqrt(self.variance * variance + self.excess))
 

@@ -425,7 +425,7 @@ class Partition:
         return kernels[kernel], float(smoothings[level])
 
     def _calibrated(self, values: FloatArray) -> Calibration:
-        """From the leave-one-out residuals in the cells of a sample of patches, and the sides of some of these."""
+        """From the leave-one-out residuals in the cells of a sample of patches."""
         outputs = values.shape[1]
         sample = np.random.default_rng(0).permutation(len(self))[:CHECKED]
         found = parallel(self.left_out, sample.tolist())

@@ -109,6 +109,28 @@ def test_the_band_holds_the_surface_where_no_points_are(n: int, noise: float) ->
     assert np.all(np.mean(shares, axis=0) > 0.85)
 
 
+@pytest.mark.parametrize("centers", [1, 2, 5, 40])
+@pytest.mark.parametrize("n", [60, 4500])
+def test_few_centres_have_a_deviation_everywhere(centers: int, n: int) -> None:
+    rng = np.random.default_rng(1)
+    X, Q = rng.random((n, 2)), 4 * rng.random((100, 2)) - 1.5
+    _, deviation = RBFNetwork(max_centers=centers).fit(X, sines(X)).predict(Q, return_std=True)
+    assert np.all(np.isfinite(deviation))
+    assert np.all(deviation > 0)
+
+
+def test_outputs_grow_each_by_themselves() -> None:
+    rng = np.random.default_rng(3)
+    X, Q = rng.random((6000, 2)), rng.random((100, 2)) - [1.0, 0.0]
+    X[:, 0] **= 2
+    y = np.column_stack([sines(X), np.full(len(X), 3.0), np.abs(X[:, 0] - X[:, 1])])
+    for rows in (slice(200), slice(None)):
+        _, together = RBFNetwork().fit(X[rows], y[rows]).predict(Q, return_std=True)
+        assert np.all(np.isfinite(together))
+        assert np.all(together[:, 1] < 1e-9)
+        assert np.all(together[:, [0, 2]] > 0)
+
+
 def test_the_deviation_of_a_gap_turns_with_the_points() -> None:
     rng = np.random.default_rng(2)
     X, Q = rng.random((240, 2)), rng.random((200, 2))
