@@ -22,7 +22,7 @@ from benchmarks import terrain
 from benchmarks.network import fractal, timed
 from common.metrics import nrmse, rmse
 from common.network import NetworkWarning, RBFNetwork
-from common.network.kernel import ladder_spreads, mean_spacing
+from common.network.kernel import ladder_spreads, mean_spacing, span
 from common.network.partition import Partition
 from common.network.selection import SMOOTHINGS, TRUST, Samples, Spectra, families, rounding_floor, score
 from common.surface import BoolArray, FloatArray
@@ -97,7 +97,7 @@ def criterion(seeds: int) -> None:
 def _by_criterion(X: FloatArray, y: FloatArray, Q: FloatArray, z: FloatArray) -> list[tuple[str, FloatArray]]:
     origin, unit, level, height = X.mean(axis=0), float(np.sqrt(X.var(axis=0).sum())), y.mean(), y.std()
     samples = Samples((X - origin) / unit, ((y - level) / height)[:, None], np.ones(len(X)))
-    extent = float(np.ptp(samples.X, axis=0).max())
+    extent = span(samples.X)
     spreads = ladder_spreads(mean_spacing(samples.X), 2 * extent)
     kernels = [kind.kernel(spreads) for kind in families(spreads, extent)]
     smoothings = SMOOTHINGS[rounding_floor(len(X)) <= SMOOTHINGS]

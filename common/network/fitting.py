@@ -5,20 +5,31 @@ Everything here is in units of the samples' own extent (`selection.Samples`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from common.errors import TrainingError
 from common.network import coarsening, evaluation, greedy, robust, search
 from common.network.autoassociative import Lifted
 from common.network.calibration import calibrated
 from common.network.expansion import Expansion
-from common.network.kernel import ladder_spreads, mean_spacing, nearest_distance
-from common.network.partition import PROBES, Partition
-from common.network.selection import SMOOTHINGS, Fit, Kind, Samples, blend, families, rounding_floor
+from common.network.kernel import ladder_spreads, mean_spacing, nearest_distance, span
+from common.network.partition import CALM, FAR_MORE, MORE_OR_LESS, PROBES, Partition, strays
+from common.network.selection import (
+    CLEAN,
+    ROUGHNESS,
+    SMOOTHINGS,
+    Fit,
+    Kind,
+    Samples,
+    blend,
+    families,
+    rounding_floor,
+)
 from common.network.threads import single_threaded_blas
 from common.surface import FloatArray, IntArray
 
@@ -41,6 +52,12 @@ LIKE = 12
 
 MOVED = 2.5
 """Odds beforehand that noisy points are noisy in their positions, too, over that only their heights are."""
+
+LOOKS = 256
+"""Places between the points at which their surface is probed."""
+
+APART = 8
+"""Neighbours between which and a point such a place lies: half a gap away where points are dense on one side of it."""
 
 BEYOND = 3.0
 """Half ranges about the middle of the values that a surface may reach between its points."""
@@ -116,20 +133,17 @@ def _none() -> IntArray:
     return np.zeros(0, dtype=np.int64)
 
 
-def _chosen(samples: Samples, wanted: Wanted, tick: Tick, *, quick: bool = False, like: Fit | None = None) -> Fit:
-    """Spread and smoothing, as asked or from the data, with every point a centre.
-
-    Where there is a fit to be `like`, only the kernels are tried that had the greatest shares in it.
-    """
-    extent = float(np.ptp(samples.X, axis=0).max()) or 1.0
+def _chosen(
+    samples: Samples, wanted: Wanted, tick: Tick, *, quick: bool = False, kinds: Sequence[Kind] | None = None
+) -> Fit:
+    """Spread and smoothing, as asked or from the data, with every point a centre; of these kinds, if any are named."""
+    extent = span(samples.X) or 1.0
     spreads = ladder_spreads(mean_spacing(samples.X) or 1.0, 2 * extent)
-    if wanted.spread is None:
-        kinds = families(spreads, extent)
-    else:
+    if wanted.spread is not None:
         given = _given(samples, wanted)
         spreads, kinds = np.array([given]), [Kind("single", given)]
-    if like is not None:
-        kinds = like.scored.heaviest(LIKE)
+    elif kinds is None:
+        kinds = families(spreads, extent)
     floor = rounding_floor(len(samples))
     chosen = wanted.smoothing
     if chosen is None and len(samples) < TELLING:
@@ -155,7 +169,7 @@ def _select(samples: Samples, wanted: Wanted, tick: Tick, *, quick: bool = False
         return fit
     weights = 1 / (1 + steepness / steepness.mean())
     weights *= samples.weights / np.exp(np.mean(np.log(weights)))
-    moved = _chosen(replace(samples, weights=weights), wanted, tick, like=fit)
+    moved = _chosen(replace(samples, weights=weights), wanted, tick, kinds=fit.scored.heaviest(LIKE))
     return blend([fit, moved], [1.0, MOVED])
 
 
@@ -184,11 +198,30 @@ def _train_dense(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
     fit, outliers = robust.set_aside(samples, fit, lambda part, quick: _select(part, wanted, tick, quick=quick))
     samples = samples.without(outliers)
     network = _expansion(samples, fit)
+    if wanted.spread is None and wanted.smoothing is None and strays(network.predict(_between(samples.X)), samples.y):
+        network = _expansion(samples, _tempered(samples, fit, wanted, tick))
     trained = Trained(network, outliers, np.zeros(0), notes=notes)
     if wanted.sparse:
         _thin(trained, network, samples, wanted, tick)
     tick("solve", 1.0)
     return trained
+
+
+def _between(X: FloatArray) -> FloatArray:
+    """Places halfway between points X (n, d) and neighbours of theirs, at most `LOOKS`."""
+    some = X[np.random.default_rng(0).permutation(len(X))[:LOOKS]]
+    far = np.asarray(KDTree(X).query(some, k=[min(1 + APART, len(X))])[1])[:, 0]
+    return np.asarray((some + X[far]) / 2)
+
+
+def _tempered(samples: Samples, fit: Fit, wanted: Wanted, tick: Tick) -> Fit:
+    """Calm ladders instead of a fit whose surface leaves the range of the values, unless they leave far more.
+
+    As in a partition, what is left at each point without itself counts.
+    """
+    calm = _chosen(samples, wanted, tick, kinds=[Kind("ladder", h) for h in ROUGHNESS if h <= CALM])
+    there, here = (float(np.sum(each.residuals**2)) for each in (fit, calm))
+    return calm if here < (FAR_MORE if fit.smoothing < CLEAN else MORE_OR_LESS) * there else fit
 
 
 def _expansion(samples: Samples, fit: Fit) -> Expansion:
@@ -326,4 +359,4 @@ def _bounded(network: Partition, samples: Samples) -> bool:
     """Whether the surface stays near the values between the points."""
     pairs = np.random.default_rng(0).integers(len(samples), size=PROBES)
     distances = np.abs(np.diff(samples.X[np.sort(pairs)], axis=0)).mean(axis=0) / len(samples) ** 0.5
-    return not network.strays(samples.X[pairs] + distances, samples.y, BEYOND)
+    return not strays(network.predict(samples.X[pairs] + distances), samples.y, BEYOND)

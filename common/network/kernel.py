@@ -125,6 +125,11 @@ def _is_one_step(wide: float, narrow: float) -> bool:
     return bool(abs(wide / narrow / LADDER_STEP - 1) < 1e-12)
 
 
+def span(X: FloatArray) -> float:
+    """Side of a cube whose corners are as far from the middle as the furthest of X (n, d) is, however these turn."""
+    return 2 * float(np.sqrt(np.sum((X - X.mean(axis=0)) ** 2, axis=1).max() / X.shape[1]))
+
+
 def mean_spacing(X: FloatArray) -> float:
     """Side of the cell that each of the n positions (n, d) would have if they filled a box evenly.
 

@@ -237,8 +237,8 @@ class Partition:
         made._solve(values, told)
         if spread == smoothing == "auto":
             loud = made._loud(values)
-            everywhere = frame.low + frame.side * frame.extent * np.random.default_rng(0).random((PROBES, 2))
-            if len(loud) or made.strays(everywhere, values, ASTRAY):
+            anywhere = frame.low + frame.side * frame.extent * np.random.default_rng(0).random((PROBES, 2))
+            if len(loud) or strays(made.predict(anywhere), values):
                 kernel, level = made._tempered(loud, values)
                 if kernel is not made.kernel:
                     made.kernel, made.smoothing = kernel, np.full(patches, level)
@@ -518,11 +518,6 @@ class Partition:
         blended, _ = self._blended(X, self.coefficients.shape[1], values)
         return blended
 
-    def strays(self, X: FloatArray, values: FloatArray, accepted: float) -> bool:
-        """Whether it is more than `accepted` half ranges off the middle of the values (n, k) anywhere at X (m, 2)."""
-        middle = (values.max(axis=0) + values.min(axis=0)) / 2
-        return not np.all(np.abs(self.predict(X) - middle) <= accepted * np.ptp(values, axis=0) / 2)
-
     def predict_std(self, X: FloatArray) -> FloatArray:
         """Standard deviation of the surface at X (m, 2), without the noise of a new measurement, shape (m, k)."""
         levels, growth = Levels(self.kernel), self._grown()
@@ -684,6 +679,12 @@ _ARRAYS = (
     *("u", "weights", "starts", "members", "spacings"),
     *("smoothing", "coefficients", "bias", "amplitude"),
 )
+
+
+def strays(heights: FloatArray, values: FloatArray, accepted: float = ASTRAY) -> bool:
+    """Whether any of the heights (m, k) is more than `accepted` half ranges off the middle of the values (n, k)."""
+    middle = (values.max(axis=0) + values.min(axis=0)) / 2
+    return not np.all(np.abs(heights - middle) <= accepted * np.ptp(values, axis=0) / 2)
 
 
 def _ladders(most: float = np.inf) -> list[Kernel]:

@@ -122,11 +122,12 @@ def fit(
     endless = [kind for kind in kinds if kind.reach == np.inf]
     ranked = average(few, endless, spreads, smoothings, lambda share: tick(0.2 * share)).scored
     starts = _starts(ranked, BEHIND)
+    smoothest = max((kind.parameter for kind in kinds if kind.family == "ladder"), default=ROUGHNESS[-1])
     ladder = next((start for start in _starts(ranked, np.inf) if start.kind.family == "ladder"), None)
     if n > CLIMBED and not quick:
         anywhere = _is_smooth(starts[0], mean_spacing(few.X))
         near = samples.take(np.sort(order[:CLIMBED]) if anywhere else _neighbourhoods(samples.X, order))
-        search = _Search(near, spreads, TRIALS, lambda share: tick(0.2 + 0.2 * share))
+        search = _Search(near, spreads, smoothest, TRIALS, lambda share: tick(0.2 + 0.2 * share))
         found = search.climb(starts, free, ladder)
         # The closer the points, the rougher a surface may look.
         rough = [start for start in _starts(ranked, FAR_BEHIND) if start.kind.family == "ladder"]
@@ -140,7 +141,7 @@ def fit(
         budget, ladder = 1, None
     elif budget < ROUND:
         budget = len(starts)
-    search = _Search(samples, spreads, budget, lambda share: tick(0.6 + 0.4 * share))
+    search = _Search(samples, spreads, smoothest, budget, lambda share: tick(0.6 + 0.4 * share))
     return search.climb(starts, free, ladder)
 
 
@@ -155,10 +156,13 @@ def _neighbourhoods(X: FloatArray, order: IntArray) -> IntArray:
 
 
 class _Search:
-    """Candidates solved on all samples, at most `budget` of them."""
+    """Candidates solved on all samples, at most `budget` of them, ladders up to the `smoothest`."""
 
-    def __init__(self, samples: Samples, spreads: FloatArray, budget: int, tick: Callable[[float], None]) -> None:
+    def __init__(
+        self, samples: Samples, spreads: FloatArray, smoothest: float, budget: int, tick: Callable[[float], None]
+    ) -> None:
         self.samples, self.spreads, self.budget, self.tick = samples, spreads, budget, tick
+        self.last = float(np.interp(smoothest, ROUGHNESS, np.arange(len(ROUGHNESS))))
         self.r2 = squared_distances(samples.X)
         self.twins = twins(samples.X)
         self.lowest = round(float(np.log(rounding_floor(len(samples))) / _LOG_STEP), 6)
@@ -267,7 +271,7 @@ class _Search:
         at = list(place.at)
         at[axis] = round(at[axis] + steps, 6)
         if place.family == "ladder":
-            at[0] = min(max(at[0], 0.0), len(ROUGHNESS) - 1.0)
+            at[0] = min(max(at[0], 0.0), self.last)
         return _Place(place.family, (at[0], max(at[1], self.lowest)))
 
     def _scored(self) -> Scored:

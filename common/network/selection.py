@@ -50,7 +50,7 @@ ORDERS = (0.5, 1.0, 2.0, 4.0)
 """Roughnesses of the ladders that have a reach."""
 
 REACHES = (0.25, 0.5, 1.0)
-"""Reaches that are tried, as shares of the longest side of the points."""
+"""Reaches that are tried, as shares of the extent of the points."""
 
 SMOOTHINGS: FloatArray = np.concatenate([np.logspace(-13, -7, 7), np.logspace(-6, 0, 13)])
 TRUST = 0.7
@@ -180,12 +180,12 @@ FAINT = 1e-10
 """Amplitudes below this share of the greatest are left out."""
 
 WIDEST: dict[Family, float] = {"single": 0.5, "multiquadric": 0.5}
-"""Greatest parameter, as a share of the longest side of the points: beyond it a Gaussian is a polynomial, which fits
+"""Greatest parameter, as a share of the extent of the points: beyond it a Gaussian is a polynomial, which fits
 the points and runs away between them."""
 
 
 def families(spreads: FloatArray, extent: float) -> list[Kind]:
-    """Every kind of kernel worth a trial; `spreads` descending, `extent` the points' longest side."""
+    """Every kind of kernel worth a trial; `spreads` descending, `extent` the points' (`kernel.span`)."""
     finest = float(spreads.min())
     return [
         *(Kind("single", s) for s in spreads.tolist() if s <= max(finest, WIDEST["single"] * extent)),

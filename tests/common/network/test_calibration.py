@@ -129,14 +129,3 @@ def test_outputs_grow_each_by_themselves() -> None:
         assert np.all(np.isfinite(together))
         assert np.all(together[:, 1] < 1e-9)
         assert np.all(together[:, [0, 2]] > 0)
-
-
-def test_the_deviation_of_a_gap_turns_with_the_points() -> None:
-    rng = np.random.default_rng(2)
-    X, Q = rng.random((240, 2)), rng.random((200, 2))
-    X = X[np.hypot(*(X - 0.5).T) > 0.25]
-    y = sines(X) + 0.05 * rng.normal(size=len(X))
-    turn = np.array([[np.cos(0.7), np.sin(0.7)], [-np.sin(0.7), np.cos(0.7)]])
-    _, before = RBFNetwork().fit(X, y).predict(Q, return_std=True)
-    _, after = RBFNetwork().fit(7 + 3 * X @ turn, 2 * y).predict(7 + 3 * Q @ turn, return_std=True)
-    np.testing.assert_allclose(after, 2 * before, rtol=0.02)

@@ -97,13 +97,26 @@ def test_shift_and_scale_change_nothing_else(scale: float, offset: float) -> Non
     np.testing.assert_allclose(moved / scale - offset, plain, atol=1e-6)
 
 
-def test_a_rotation_changes_nothing_else() -> None:
-    X, y = cloud(100)
-    y = y + 0.05 * np.random.default_rng(1).normal(size=100)
+@pytest.mark.parametrize("n", [12, 30, 100, 240])
+def test_a_rotation_changes_nothing_else(n: int) -> None:
+    X, y = cloud(n)
+    X *= [1.0, 0.6]
+    y = y + 0.05 * np.random.default_rng(1).normal(size=n)
     turn = np.array([[np.cos(0.7), -np.sin(0.7)], [np.sin(0.7), np.cos(0.7)]])
-    np.testing.assert_allclose(
-        RBFNetwork().fit(X @ turn.T, y).predict(QUERIES @ turn.T), RBFNetwork().fit(X, y).predict(QUERIES), atol=2e-2
-    )
+    as_they_are = RBFNetwork().fit(X, y).predict(QUERIES, return_std=True)
+    turned = RBFNetwork().fit(X @ turn.T + 5, y).predict(QUERIES @ turn.T + 5, return_std=True)
+    np.testing.assert_allclose(turned, as_they_are, rtol=1e-6, atol=1e-8)
+
+
+def test_a_surface_stays_near_its_values_where_points_are_few_beyond_a_cliff() -> None:
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        X = np.empty((0, 2))
+        while len(X) < 400:
+            tried = rng.random((1600, 2))
+            X = np.vstack([X, tried[rng.random(1600) < np.exp(-6 * tried[:, 0])]])[:400]
+        network = RBFNetwork().fit(X, np.tanh(80 * (X[:, 0] - 0.5 - 0.08 * np.sin(8 * X[:, 1]))))
+        assert np.abs(network.predict(rng.random((2000, 2)))).max() < 3
 
 
 def test_noise_is_smoothed_whatever_the_number_of_points() -> None:
