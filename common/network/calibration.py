@@ -64,6 +64,9 @@ FAR = 1.5
 STEEPEST = 1.5
 """Greatest growth: beyond it a band holds everything and tells nothing."""
 
+TALLEST = 3.0
+"""Deviation, over that of the values, beyond which nothing grows."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
@@ -77,21 +80,32 @@ class Calibration:
         Share of the smoothing that is detail finer than the points, not noise.
     usual : float
         What v exceeds at few points, each left out.
+    most : ndarray, shape (k,)
+        Variance beyond which nothing grows.
     """
 
     factor: FloatArray
     detail: FloatArray
     usual: float
+    most: FloatArray
 
     @classmethod
     def unknown(cls, outputs: int, factor: float = 1.0) -> Self:
         """The variance that the kernel says, but for a factor on the deviation."""
-        return cls(np.full(outputs, factor), np.zeros(outputs), np.inf)
+        return cls(np.full(outputs, factor), np.zeros(outputs), np.inf, np.zeros(outputs))
 
-    def variance(self, v: FloatArray, growth: FloatArray, smoothing: FloatArray | float) -> FloatArray:
-        """Of a surface of unit variance, shape (..., k), where the kernel says v (...); `growth` (k,)."""
-        grown = v[..., None] * np.maximum(v[..., None] / self.usual, 1.0) ** growth
-        return np.asarray(self.factor**2 * (grown + np.asarray(smoothing)[..., None] * self.detail))
+    def variance(
+        self, v: FloatArray, growth: FloatArray, surface: FloatArray | float, smoothing: FloatArray | float
+    ) -> FloatArray:
+        """Of what is predicted, shape (..., k), where the kernel says v (...).
+
+        `growth` (k,) is told by `growth`; `surface` (..., k) is the variance of the surface, `smoothing` (...) lambda.
+        """
+        scale = self.factor**2 * surface
+        own = scale * v[..., None]
+        grown = own * np.maximum(v[..., None] / self.usual, 1.0) ** growth
+        detail = scale * np.asarray(smoothing)[..., None] * self.detail
+        return np.asarray(np.minimum(grown, np.maximum(own, self.most)) + detail)
 
     def growth(self, told: Sequence[Across]) -> FloatArray:
         """Exponents, shape (k,), by which the variance grows faster than v where this is more than usual.
@@ -121,15 +135,18 @@ class Calibration:
     @classmethod
     def from_state(cls, state: Mapping[str, np.ndarray[Any, Any]]) -> Self:
         """The calibration that `to_state` wrote."""
-        factor, detail, usual = (np.array(state[name]) for name in _FIELDS)
-        return cls(factor, detail, float(usual))
+        factor, detail, usual, most = (np.array(state[name]) for name in _FIELDS)
+        return cls(factor, detail, float(usual), most)
 
 
-_FIELDS = ("factor", "detail", "usual")
+_FIELDS = ("factor", "detail", "usual", "most")
 
 
 def calibrated(X: FloatArray, fit: Fit) -> Calibration:
-    """The calibration of the best candidate's posterior for the average of the candidates, fitted at X (n, d)."""
+    """The calibration of the best candidate's posterior for the average of the candidates, fitted at X (n, d).
+
+    Values have unit deviation.
+    """
     n, outputs = fit.residuals.shape
     if n < FEWEST:
         return Calibration.unknown(outputs, UNSURE)
@@ -138,7 +155,8 @@ def calibrated(X: FloatArray, fit: Fit) -> Calibration:
     detail = np.ones(outputs)
     if fit.smoothing * fit.variance > DETAIL:
         detail = 1 - noise_share(X, ratios / np.maximum(scale, TINY))
-    return Calibration(scale, detail, usual_variance(fit.spread - fit.smoothing / fit.weights))
+    usual = usual_variance(fit.spread - fit.smoothing / fit.weights)
+    return Calibration(scale, detail, usual, np.full(outputs, TALLEST**2))
 
 
 def usual_variance(variances: FloatArray) -> float:

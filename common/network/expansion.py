@@ -11,6 +11,7 @@ from common.network import evaluation
 from common.network.calibration import FEWEST, TOGETHER, Across, Calibration, told_across
 from common.network.dense import Dense
 from common.network.kernel import Kernel, chunks
+from common.network.threads import parallel, single_threaded_blas
 from common.surface import FloatArray
 
 
@@ -62,12 +63,13 @@ class Expansion:
         """Derivatives at X (m, d), shape (m, k, d)."""
         return evaluation.gradient(X, self.centers, self.spreads, self.coefficients)
 
+    @single_threaded_blas()
     def predict_std(self, X: FloatArray) -> FloatArray:
         """Deviation of the surface at X (m, d), without the noise of a new measurement, shape (m, k)."""
         if self._growth is None:
             self._growth = self.calibration.growth([self._told_across()] if len(self.support) >= FEWEST else [])
-        variance = self.calibration.variance(self.posterior_variance(X), self._growth, self.smoothing)
-        return np.asarray(np.sqrt(self.variance * variance + self.excess))
+        told = self.calibration.variance(self.posterior_variance(X), self._growth, self.variance, self.smoothing)
+        return np.asarray(np.sqrt(told + self.excess))
 
     def _told_across(self) -> Across:
         """What the points tell of each other across the surface."""
@@ -79,10 +81,12 @@ class Expansion:
         """Variance at X (m, d) over that of the surface, as the kernel has it, shape (m,)."""
         if self._factor is None:
             self._factor = Dense(self.kernel.gram(self.support), self.weights, self.smoothing)
-        variance = np.empty(len(X))
-        for part in chunks(len(X), len(self.support)):
-            variance[part] = self._factor.posterior_variance(self.kernel.gram(self.support, X[part]))
-        return variance
+        factor, kernel = self._factor, self.kernel
+        parts = parallel(
+            lambda part: factor.posterior_variance(kernel.gram(self.support, X[part])),
+            list(chunks(len(X), len(self.support))),
+        )
+        return np.concatenate([np.empty(0), *parts])
 
     def to_state(self) -> dict[str, np.ndarray[Any, Any]]:
         """Everything, as arrays that `numpy.savez` takes without pickling."""

@@ -62,6 +62,9 @@ APART = 8
 BEYOND = 3.0
 """Half ranges about the middle of the values that a surface may reach between its points."""
 
+MISSED = 0.01
+"""Deviations of the values by which a surface without smoothing may be off the points."""
+
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
@@ -300,8 +303,11 @@ def _train_partition(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
     if wanted.smoothing is not None:
         kept = samples.without(outliers)
         network = _partition(kept, wanted, tick)
-        if not _bounded(network, kept):
-            notes = (_unstable(wanted, f"it leaves {BEYOND:g} times the range of the values"),)
+        why = f"it leaves {BEYOND:g} times the range of the values" if not _bounded(network, kept) else ""
+        if not why and wanted.smoothing < CLEAN and _misses(network, kept):
+            why = "rounding keeps it off the points"
+        if why:
+            notes = (_unstable(wanted, why),)
             wanted, network = replace(wanted, smoothing=None), None
     if len(outliers):
         # Where some points are wild there are others that the neighbours could not tell.
@@ -360,3 +366,9 @@ def _bounded(network: Partition, samples: Samples) -> bool:
     pairs = np.random.default_rng(0).integers(len(samples), size=PROBES)
     distances = np.abs(np.diff(samples.X[np.sort(pairs)], axis=0)).mean(axis=0) / len(samples) ** 0.5
     return not strays(network.predict(samples.X[pairs] + distances), samples.y, BEYOND)
+
+
+def _misses(network: Partition, samples: Samples) -> bool:
+    """Whether the surface is further off the points than next to no smoothing allows."""
+    some = samples.take(np.random.default_rng(0).permutation(len(samples))[:PROBES])
+    return float(np.sqrt(np.mean((network.predict(some.X) - some.y) ** 2))) > MISSED

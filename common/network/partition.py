@@ -445,7 +445,8 @@ class Partition:
             told = ratios / np.maximum(factor, TINY)
             detail[noisy] = 1 - calibration.noise_share(self.u[rows], told)[noisy]
         variances = (deviations / amplitude) ** 2 - smoothing / self.weights[rows, None]
-        return Calibration(factor, detail, calibration.usual_variance(variances[lively]))
+        most = calibration.TALLEST**2 * values.var(axis=0)
+        return Calibration(factor, detail, calibration.usual_variance(variances[lively]), most)
 
     def _grown(self) -> FloatArray:
         """Exponents by which the deviation grows in gaps and beyond the edge, from the sides of some patches."""
@@ -530,8 +531,9 @@ class Partition:
             one = inverse @ real[:, :, None].astype(np.float64)
             gap = 1 - (one.transpose(0, 2, 1) @ half)[:, 0]
             variance = 1 - np.square(half).sum(axis=1) + gap**2 / np.square(one).sum(axis=1)
-            told = self.calibration.variance(np.maximum(variance, 0.0), growth, self.smoothing[patches, None])
-            return np.asarray(self.amplitude[patches, None] * np.sqrt(told))
+            surface, smoothing = self.amplitude[patches, None] ** 2, self.smoothing[patches, None]
+            told = self.calibration.variance(np.maximum(variance, 0.0), growth, surface, smoothing)
+            return np.asarray(np.sqrt(told))
 
         blended, _ = self._blended(X, self.amplitude.shape[1], deviations)
         return blended

@@ -18,7 +18,7 @@ def sines(X: FloatArray) -> FloatArray:
 
 def growth(told: Across, *, factor: float = 1.0, usual: float) -> FloatArray:
     outputs = told.errors.shape[1]
-    return Calibration(np.full(outputs, factor), np.zeros(outputs), usual).growth([told])
+    return Calibration(np.full(outputs, factor), np.zeros(outputs), usual, np.ones(outputs)).growth([told])
 
 
 @pytest.mark.parametrize("exponent", [0.0, 0.2, 0.7])
@@ -46,11 +46,28 @@ def test_noise_is_not_taken_for_growth() -> None:
 
 
 def test_the_variance_grows_only_where_it_is_more_than_usual() -> None:
-    made, exponents = Calibration(np.array([2.0, 1.0]), np.array([0.0, 0.5]), 0.01), np.array([0.5, 0.0])
-    told = made.variance(np.array([0.001, 0.01, 0.04]), exponents, 0.2)
+    exponents, most = np.array([0.5, 0.0]), np.array([9.0, 9.0])
+    made = Calibration(np.array([2.0, 1.0]), np.array([0.0, 0.5]), 0.01, most)
+    told = made.variance(np.array([0.001, 0.01, 0.04]), exponents, 1.0, 0.2)
     np.testing.assert_allclose(told, np.transpose([[0.004, 0.04, 0.32], [0.101, 0.11, 0.14]]))
-    patches = made.variance(np.full((2, 1), 0.01), exponents, np.array([[0.0], [0.2]]))
-    np.testing.assert_allclose(patches, [[[0.04, 0.01]], [[0.04, 0.11]]])
+    surface, smoothing = np.array([[[1.0, 1.0]], [[4.0, 9.0]]]), np.array([[0.0], [0.2]])
+    patches = made.variance(np.full((2, 1), 0.01), exponents, surface, smoothing)
+    np.testing.assert_allclose(patches, [[[0.04, 0.01]], [[0.16, 0.99]]])
+
+
+def test_nothing_grows_beyond_a_few_deviations_of_the_values() -> None:
+    made = Calibration(np.ones(1), np.zeros(1), 1e-6, np.array([9.0]))
+    told = made.variance(np.array([1e-3, 1e-1, 20.0]), np.ones(1), 1.0, 0.0)
+    np.testing.assert_allclose(told[:, 0], [1.0, 9.0, 20.0])
+
+
+@pytest.mark.parametrize("n", [300, 6000])
+def test_the_deviation_of_a_hole_is_no_more_than_a_few_of_the_values(n: int) -> None:
+    angle = 2 * np.pi * np.arange(n) / n
+    X, y = np.column_stack([np.cos(angle), np.sin(angle)]), np.sin(3 * angle)
+    mean, deviation = RBFNetwork().fit(X, y).predict([[0.0, 0.0], [0.5, 0.3], [-0.2, 0.8]], return_std=True)
+    assert np.all(deviation < 5)
+    assert np.all(np.abs(mean) < 1.96 * deviation + 1)
 
 
 def test_a_side_is_told_by_the_others_as_if_it_were_missing() -> None:

@@ -8,7 +8,7 @@ import pytest
 from scipy.interpolate import RBFInterpolator
 
 from common.errors import TrainingError
-from common.network import RBFNetwork, local
+from common.network import NetworkWarning, RBFNetwork, local
 from common.network.cover import Cover, frame_for
 from common.network.kernel import Kernel
 from common.network.local import Levels
@@ -426,3 +426,23 @@ def test_rectangles_are_the_kernel_at_their_nodes() -> None:
         nodes = np.stack(np.meshgrid(across[p], up[p]), axis=-1).reshape(-1, 2)
         expected = kernel.gram(nodes, points[p]) @ coefficients[p]
         np.testing.assert_allclose(values[:, p].reshape(2, -1).T, expected, atol=1e-12)
+
+
+def waves(X: FloatArray) -> FloatArray:
+    return np.asarray(np.sin(6 * X[:, 0]) + np.cos(5 * X[:, 1]))
+
+
+def test_noisy_points_that_no_smoothing_can_interpolate_are_smoothed_and_a_note_says_so() -> None:
+    rng = np.random.default_rng(0)
+    X, Q = rng.random((4500, 2)), rng.random((1000, 2))
+    with pytest.warns(NetworkWarning, match="rounding keeps it off the points"):
+        network = RBFNetwork(smoothing=0).fit(X, waves(X) + 0.05 * rng.normal(size=4500))
+    assert len(network.notes_) == 1
+    assert np.sqrt(np.mean((network.predict(Q) - waves(Q)) ** 2)) < 0.03
+
+
+def test_clean_points_are_interpolated_without_smoothing() -> None:
+    X = np.random.default_rng(0).random((4500, 2))
+    network = RBFNetwork(smoothing=0).fit(X, waves(X))
+    assert not network.notes_
+    np.testing.assert_allclose(network.predict(X), waves(X), atol=1e-5)
