@@ -43,6 +43,9 @@ STRIP = 128
 CALL = 1_000_000
 """Multiplications that take as long as what a tile costs besides its product."""
 
+CROWDED = 1e6
+"""Spreads in half an axis from where on its Chebyshev nodes are not counted: on no grid would so many pay."""
+
 _SQUARINGS = 4
 """Levels taken by squaring before a fresh exponential: each squaring doubles the relative rounding error."""
 
@@ -89,24 +92,23 @@ def evaluate_grid(
 
 def _nodes(x: FloatArray, y: FloatArray, centers: int, spread: float) -> tuple[FloatArray, FloatArray] | None:
     """Chebyshev nodes that carry a Gaussian of this spread over both axes, or None where tiles are cheaper."""
-    along_x, along_y = _chebyshev_nodes(x, spread), _chebyshev_nodes(y, spread)
-    columns, rows = len(along_x), len(along_y)
+    halves = [float(axis.max() - axis.min()) / 2 for axis in (x, y)]
+    # Counted first: nodes that do not pay may be more than the memory holds.
+    columns, rows = (chebyshev_count(min(half / spread, CROWDED)) for half in halves)
     interpolation = len(x) * columns**2 + len(y) * rows**2 + len(y) * columns * (rows + len(x))
     tiles, products = 1, float(len(x) * len(y) * centers)
-    for axis in (x, y):
-        cuts, half = len(_cuts(axis, REACH * spread)), float(np.ptp(axis)) / 2
+    for axis, half in zip((x, y), halves, strict=True):
+        cuts = len(_cuts(axis, REACH * spread))
         tiles *= cuts
         products *= min(1.0, 1 / cuts + REACH * spread / half) if cuts > 1 else 1.0
     chebyshev_is_cheaper = rows * columns * centers + interpolation < products + CALL * tiles
-    return (along_x, along_y) if chebyshev_is_cheaper else None
+    return (_chebyshev_nodes(x, columns), _chebyshev_nodes(y, rows)) if chebyshev_is_cheaper else None
 
 
-def _chebyshev_nodes(axis: FloatArray, spread: float) -> FloatArray:
-    """Chebyshev nodes that carry a Gaussian of this spread over the axis."""
+def _chebyshev_nodes(axis: FloatArray, count: int) -> FloatArray:
+    """So many Chebyshev nodes over the axis."""
     low, high = float(axis.min()), float(axis.max())
-    half = (high - low) / 2
-    count = chebyshev_count(half / spread)
-    return (low + high) / 2 + half * np.cos(np.pi * (np.arange(count) + 0.5) / count)
+    return (low + high) / 2 + (high - low) / 2 * np.cos(np.pi * (np.arange(count) + 0.5) / count)
 
 
 def chebyshev_count(ratio: float) -> int:
@@ -173,8 +175,10 @@ def _add_product(
 
 def _along(axis: FloatArray, centers: FloatArray, spread: float) -> FloatArray:
     """Gaussians along one axis, shape (len(axis), len(centers))."""
-    away = (axis[:, None] - centers) / spread
-    np.square(away, out=away)
+    # What overflows is so far away that nothing reaches it.
+    with np.errstate(over="ignore"):
+        away = (axis[:, None] - centers) / spread
+        np.square(away, out=away)
     away *= -0.5
     return np.asarray(np.exp(away, out=away))
 

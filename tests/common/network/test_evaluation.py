@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -46,7 +48,7 @@ def test_as_many_chebyshev_nodes_as_a_gaussian_needs(ratio: float, centre: float
     spread = 1 / ratio
     count = evaluation.chebyshev_count(ratio)
     x = np.linspace(-1, 1, 2 * count + 50)
-    nodes = evaluation._chebyshev_nodes(x, spread)
+    nodes = evaluation._chebyshev_nodes(x, count)
     matrix = evaluation._interpolation(nodes, x)
     found = matrix @ np.exp(-0.5 * ((nodes - centre) / spread) ** 2)
     np.testing.assert_allclose(found, np.exp(-0.5 * ((x - centre) / spread) ** 2), atol=2e-13)
@@ -63,6 +65,22 @@ def test_descending_or_shuffled_axes_and_offsets() -> None:
     )
     moved = evaluation.evaluate_grid(x + 1e6, y + 1e6, centers + 1e6, spreads, c)
     np.testing.assert_allclose(moved, straight, atol=1e-6)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("spreads", [np.array([0.3]), LADDER], ids=["single", "ladder"])
+@pytest.mark.parametrize("width", [1e5, 1e7, 1e12, 1e300])
+def test_a_grid_far_wider_than_the_spread_takes_no_more_memory(width: float, spreads: FloatArray) -> None:
+    centers, c = network(spreads, 150)
+    x, y = np.append(np.linspace(-2, 2, 200), width), np.linspace(-2, 2, 130)
+    tracemalloc.start()
+    grid = evaluation.evaluate_grid(x, y, centers, spreads, c)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 20e6
+    near = evaluation.evaluate_grid(x[:-1], y, centers, spreads, c)
+    np.testing.assert_allclose(grid[:, :-1], near, atol=1e-14 * np.abs(c).sum(), rtol=0)
+    np.testing.assert_array_equal(grid[:, -1], np.zeros((130, 1)))
 
 
 @pytest.mark.parametrize("d", [1, 2, 3])
