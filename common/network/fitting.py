@@ -271,7 +271,9 @@ def _train_sparse(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
     )
     trained = Trained(network, suspects, np.zeros(0))
     chosen = _thin(trained, network, samples, wanted, tick)
-    network.support, network.values, network.weights = samples.X[chosen], samples.y[chosen], samples.weights[chosen]
+    # Where a constant is enough there are no centres; how sure it is, the sample tells.
+    known = samples.take(chosen) if len(chosen) else few
+    network.support, network.values, network.weights = known.X, known.y, known.weights
     tick("solve", 1.0)
     return trained
 

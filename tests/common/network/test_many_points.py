@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import warnings
+from typing import Any
 
 import numpy as np
 import pytest
@@ -94,3 +95,20 @@ def test_refusals(network: RBFNetwork, points: FloatArray) -> None:
         RBFNetwork().fit(np.where(points > 1.99, np.nan, points), sine(points))
     with pytest.raises(ParameterError):
         RBFNetwork(smoothing=-1.0).fit(points, sine(points))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("n", [400, N])
+@pytest.mark.parametrize("settings", [{"tolerance": 100.0}, {"max_centers": 20}], ids=str)
+def test_a_surface_without_centres_has_the_deviation_of_its_points(
+    points: FloatArray, n: int, settings: dict[str, Any]
+) -> None:
+    X, flat = points[:n], "max_centers" in settings
+    y = np.full(n, 3.0) if flat else 40 + sine(X)
+    network = RBFNetwork(**settings).fit(X, y)
+    z, std = network.predict(X[:200], return_std=True)
+    assert len(network.centers_) == 0
+    np.testing.assert_allclose(z, np.full(200, z[0]))
+    np.testing.assert_allclose(std, 0.0 if flat else np.sqrt(np.mean((y - z[0]) ** 2)), rtol=0.01, atol=1e-12)
+    restored = RBFNetwork.from_state(network.to_state())
+    np.testing.assert_array_equal(restored.predict(X[:200], return_std=True)[1], std)
