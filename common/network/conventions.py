@@ -13,6 +13,9 @@ from scipy.sparse import issparse
 from common.errors import NotReadyError, ParameterError, PointsError
 from common.surface import FloatArray
 
+LARGEST = 1e302
+"""Greatest number of a point: a million of them add up to a double."""
+
 
 class Conventions:
     """Parameters by name, tags and score of a regressor; the settings are those of the class's ``__init__``."""
@@ -103,8 +106,14 @@ def training_arrays(X: npt.ArrayLike, y: npt.ArrayLike) -> tuple[FloatArray, Flo
         raise PointsError(f"X must have the shape (n, d), got {positions.shape}. Reshape your data")
     if not positions.shape[1]:
         raise PointsError(f"0 feature(s) (shape={positions.shape}) while a minimum of 1 is required.")
-    if values.ndim not in (1, 2) or len(values) != len(positions):
-        raise PointsError(f"y must have the shape (n,) or (n, k) with n = {len(positions)}, got {values.shape}")
+    if values.ndim not in (1, 2) or len(values) != len(positions) or 0 in values.shape[1:]:
+        raise PointsError(
+            f"y must have the shape (n,) or (n, k) with n = {len(positions)} and k of at least 1, got {values.shape}"
+        )
     if len(positions) < 2:
         raise PointsError(f"at least 2 points are needed, got n_samples = {len(positions)}")
+    for name, array in (("X", positions), ("y", values)):
+        largest = float(np.max(np.abs(array)))
+        if largest > LARGEST:
+            raise PointsError(f"{name} must be within {LARGEST:g} of zero, or sums overflow; it reaches {largest:g}")
     return positions, values.reshape(len(values), -1)

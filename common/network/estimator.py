@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from numbers import Integral, Real
 from typing import Any, Literal, Self, TypeAlias
 
 import numpy as np
@@ -20,6 +21,12 @@ from common.network.selection import Samples
 from common.surface import BoolArray, FloatArray, IntArray
 
 Callback: TypeAlias = Callable[[str, float], None]
+
+NARROWEST, WIDEST = 1e-9, 1e9
+"""Spreads over the extent of the points: beyond them rounding is all that neurons differ by, or that they share."""
+
+SMOOTHEST = 1e9
+"""Greatest smoothing: the surface is as good as the mean of the values there."""
 
 _KINDS: dict[str, type[Expansion] | type[Partition] | type[Lifted]] = {
     "expansion": Expansion,
@@ -44,11 +51,12 @@ class RBFNetwork(Conventions):
     Parameters
     ----------
     spread : "auto", "paper" or float
-        Spread s of the neurons, in the units of X. "auto" lets the data choose between one spread and a ladder of
-        spreads; "paper" is twice the mean distance between neighbouring centres.
+        Spread s of the neurons, in the units of X, from 1e-9 to 1e9 times the extent of the points. "auto" lets the
+        data choose between one spread and a ladder of spreads; "paper" is twice the mean distance between neighbouring
+        centres.
     smoothing : "auto" or float
         lambda >= 0 on the diagonal of the kernel matrix, whose diagonal is 1: the variance of the noise over that of
-        the surface. 0 interpolates.
+        the surface. 0 interpolates; at most 1e9.
     tolerance : float
         Greatest error at the points, in the units of y, at which no more centres are added. 0 makes every point a
         centre.
@@ -121,7 +129,7 @@ class RBFNetwork(Conventions):
         Raises
         ------
         PointsError
-            If X or y is not finite, of the wrong shape or of too few points.
+            If X or y is not finite, above 1e302, of the wrong shape or of too few points.
         ParameterError
             If a setting is out of its bounds.
         TrainingError
@@ -131,6 +139,7 @@ class RBFNetwork(Conventions):
         self._check_settings()
         if self.mapping == "autoassociative" and values.shape[1] != 1:
             raise ParameterError(f"mapping 'autoassociative' takes one value a position, got {values.shape[1]}")
+        self._check_spread(positions)
         unique, means, weights, scatter, group = merge_repeated(positions, values)
         scales = _Scales.of(unique, means)
         samples = Samples(
@@ -157,19 +166,30 @@ class RBFNetwork(Conventions):
         return self
 
     def _check_settings(self) -> None:
-        for name, words in (("spread", ("auto", "paper")), ("smoothing", ("auto",))):
+        for name, words in (("spread", ("auto", "paper")), ("smoothing", ("auto",)), ("tolerance", ())):
             value = getattr(self, name)
-            if isinstance(value, str):
-                if value not in words:
-                    raise ParameterError(f"{name} {value!r} is unknown; accepted are a number or {' or '.join(words)}")
-            elif not np.isfinite(value) or value < 0 or (name == "spread" and value == 0):
+            if isinstance(value, str) and value in words:
+                continue
+            if not _is_number(value, Real):
+                raise ParameterError(f"{name} {value!r} is unknown; accepted is {' or '.join(('a number', *words))}")
+            if not 0 <= value < np.inf or (name == "spread" and value == 0):
                 raise ParameterError(f"{name} must be {'positive' if name == 'spread' else 'at least 0'}, got {value}")
-        if not (np.isfinite(self.tolerance) and self.tolerance >= 0):
-            raise ParameterError(f"tolerance must be at least 0, got {self.tolerance}")
-        if self.max_centers is not None and self.max_centers < 1:
-            raise ParameterError(f"max_centers must be at least 1 or None, got {self.max_centers}")
+        if self.smoothing != "auto" and self.smoothing > SMOOTHEST:
+            raise ParameterError(f"smoothing must be at most {SMOOTHEST:g}, got {self.smoothing}")
+        count = self.max_centers
+        if count is not None and (not _is_number(count, Integral) or count < 1):
+            raise ParameterError(f"max_centers must be a whole number of at least 1 or None, got {count!r}")
         if self.mapping not in ("height", "autoassociative"):
             raise ParameterError(f"mapping {self.mapping!r} is unknown; accepted are 'height', 'autoassociative'")
+
+    def _check_spread(self, X: FloatArray) -> None:
+        extent = float(np.ptp(X, axis=0).max()) or 1.0
+        narrowest, widest = NARROWEST * extent, WIDEST * extent
+        if not isinstance(self.spread, str) and not narrowest <= self.spread <= widest:
+            raise ParameterError(
+                f"spread must be from {narrowest:g} to {widest:g}, {NARROWEST:g} to {WIDEST:g} times the extent of the "
+                f"points, got {self.spread}"
+            )
 
     def _tick(self, stage: str, fraction: float) -> None:
         if self.callback is not None:
@@ -291,6 +311,11 @@ class RBFNetwork(Conventions):
         )
         made._describe()
         return made
+
+
+def _is_number(value: object, kind: type) -> bool:
+    """Whether a setting is a number of this kind, which a bool is not."""
+    return isinstance(value, kind) and not isinstance(value, bool)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -169,12 +169,42 @@ async def test_every_network_setting_can_be_taken_back(client: Client, features:
     assert surface["network"]["centers"] == len(features)
 
 
-@pytest.mark.parametrize("query", ["spread=wide", "smoothing=-1", "max_centers=0", "mapping=up", "spred=1"])
+@pytest.mark.parametrize(
+    "query",
+    [
+        "spread=wide",
+        "spread=nan",
+        "smoothing=-1",
+        "tolerance=inf",
+        "max_centers=0",
+        "max_centers=2.5",
+        "mapping=up",
+        "spred=1",
+    ],
+)
 async def test_bad_network_settings_are_refused(client: Client, features: FeatureSet, query: str) -> None:
     answer = await client.transmit(f"hills?{query}", packets_of(features, "hills")[0])
     problem = assert_problem(answer, 422)
     assert query.partition("=")[0] in {error["name"].partition(".")[0] for error in problem["errors"]}
     assert (await client.get("/v1/surfaces")).json()["surfaces"] == []
+
+
+@pytest.mark.parametrize(
+    ("query", "words"),
+    [
+        ("spread=1e-160", "spread must be from"),
+        ("spread=1e300", "times the extent of the points, got 1e+300"),
+        ("smoothing=1e300", "smoothing must be at most 1e+09"),
+    ],
+)
+async def test_a_training_says_which_setting_is_out_of_its_bounds(
+    client: Client, features: FeatureSet, query: str, words: str
+) -> None:
+    await client.transmit(f"hills?{query}", b"".join(packets_of(features, "hills")))
+    surface = (await client.get("/v1/surfaces/hills?wait=60")).json()
+    assert surface["state"] == "failed"
+    assert words in surface["error"]["detail"]
+    assert surface["error"]["status"] == 422
 
 
 @pytest.mark.parametrize("body", [b"", b"hello", b"\x00" * 1000, msgpack.packb({"points": [1, 2, 3]})])

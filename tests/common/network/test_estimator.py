@@ -397,6 +397,18 @@ def test_points_on_a_line_or_in_one_place_give_something_finite() -> None:
     np.testing.assert_allclose(RBFNetwork().fit(*cloud(20)).fit(cloud(20)[0], np.full(20, 7.0)).predict(QUERIES), 7.0)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "settings",
+    [{"spread": np.float32(1e-7)}, {"spread": 5e7}, {"smoothing": 1e9}, {"max_centers": np.int8(3), "tolerance": 0}],
+    ids=str,
+)
+def test_settings_just_within_their_bounds_give_something_finite(settings: dict[str, Any]) -> None:
+    network = RBFNetwork(**settings).fit(*cloud(40))
+    assert np.all(np.isfinite(network.predict(QUERIES, return_std=True)))
+    assert np.all(np.isfinite(network.predict_grid([-1, 0, 1], [0, 1])))
+
+
 def test_bad_input_is_named() -> None:
     X, y = cloud(10)
     spoilt = X.copy()
@@ -407,6 +419,11 @@ def test_bad_input_is_named() -> None:
         RBFNetwork().fit(X, y[:9])
     with pytest.raises(PointsError, match="at least 2"):
         RBFNetwork().fit(X[:1], y[:1])
+    with pytest.raises(PointsError, match=r"k of at least 1, got \(10, 0\)"):
+        RBFNetwork().fit(X, np.zeros((10, 0)))
+    for far in ((5e307 * X, y), (X, 5e307 * y)):
+        with pytest.raises(PointsError, match="sums overflow"):
+            RBFNetwork().fit(*far)
     for settings, message in (
         ({"spread": -1.0}, "spread must be positive"),
         ({"spread": "wide"}, "unknown"),
@@ -415,6 +432,19 @@ def test_bad_input_is_named() -> None:
         ({"tolerance": -1.0}, "tolerance"),
         ({"max_centers": 0}, "max_centers"),
         ({"mapping": "depth"}, "mapping"),
+        ({"spread": None}, "spread None is unknown; accepted is a number or auto or paper"),
+        ({"spread": True}, "spread True"),
+        ({"spread": [1.0, 2.0]}, "spread"),
+        ({"smoothing": [0.0]}, "smoothing .* accepted is a number or auto"),
+        ({"tolerance": None}, "tolerance None is unknown; accepted is a number"),
+        ({"tolerance": "a"}, "tolerance 'a'"),
+        ({"max_centers": "all"}, "whole number"),
+        ({"max_centers": 2.5}, "whole number"),
+        ({"max_centers": np.nan}, "whole number"),
+        ({"max_centers": True}, "whole number"),
+        ({"spread": 1e-160}, "times the extent of the points, got 1e-160"),
+        ({"spread": 1e300}, "times the extent"),
+        ({"smoothing": 1e300}, "smoothing must be at most 1e.09"),
     ):
         with pytest.raises(ParameterError, match=message):
             RBFNetwork(**settings).fit(X, y)
