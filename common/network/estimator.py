@@ -140,13 +140,13 @@ class RBFNetwork(Conventions):
         if self.mapping == "autoassociative" and values.shape[1] != 1:
             raise ParameterError(f"mapping 'autoassociative' takes one value a position, got {values.shape[1]}")
         self._check_spread(positions)
-        unique, means, weights, scatter, group = merge_repeated(positions, values)
+        unique, means, weights, group = merge_repeated(positions, values)
         scales = _Scales.of(unique, means)
         samples = Samples(
             scales.to_inner(unique),
             (means - scales.level) / scales.height,
             weights,
-            float(np.sum(scatter / scales.height**2)),
+            float(np.sum(scales.squares(values - means[group]))),
             len(positions) - len(unique),
         )
         wanted = Wanted(
@@ -337,6 +337,12 @@ class _Scales:
     def to_inner(self, X: FloatArray) -> FloatArray:
         return np.ascontiguousarray((X - self.origin) / self.unit)
 
+    def squares(self, left: FloatArray) -> FloatArray:
+        """Sums of squares, shape (k,), of differences of values (n, k), over the square of the height."""
+        # Divided by a power of two first, which does not round: squares of 1e200 and of 1e-200 have no double.
+        height, exponent = np.frexp(self.height)
+        return np.asarray(np.sum(np.ldexp(left, -exponent) ** 2, axis=0) / height**2)
+
 
 def _deviation(centred: FloatArray, count: int) -> float:
     """Root of the sum of squares over the count, 1 where it is zero; safe from overflow."""
@@ -354,11 +360,11 @@ def _sorted(X: FloatArray) -> tuple[IntArray, BoolArray]:
     return order, np.append(np.ones(min(1, len(X)), dtype=bool), np.any(np.diff(X[order], axis=0) != 0, axis=1))
 
 
-def merge_repeated(X: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, IntArray]:
+def merge_repeated(X: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
     """One row for each distinct position, in the order of their first appearance.
 
-    Returns the positions (m, d), their mean values (m, k), the samples behind each (m,), the sum of squares about the
-    means (k,), and the row of each sample among the m (n,).
+    Returns the positions (m, d), their mean values (m, k), the samples behind each (m,), and the row of each sample
+    among the m (n,).
     """
     # Equal positions have equal shadows in any direction, and in a crooked one hardly any others do.
     shadow = np.zeros(len(X))
@@ -367,7 +373,7 @@ def merge_repeated(X: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray
     ordered = np.sort(shadow)
     shared = ordered[1:][ordered[1:] == ordered[:-1]]
     if _sorted(X[np.isin(shadow, shared)])[1].all():
-        return X, y, np.ones(len(X)), np.zeros(y.shape[1]), np.arange(len(X))
+        return X, y, np.ones(len(X)), np.arange(len(X))
     order, first = _sorted(X)
     group = np.empty(len(X), dtype=np.int64)
     group[order] = np.cumsum(first) - 1
@@ -376,4 +382,4 @@ def merge_repeated(X: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray
     group = np.argsort(appearance)[group]
     distinct, weights = X[order[first][appearance]], np.bincount(group).astype(np.float64)
     means = np.column_stack([np.bincount(group, column) for column in y.T]) / weights[:, None]
-    return distinct, means, weights, np.sum((y - means[group]) ** 2, axis=0), group
+    return distinct, means, weights, group

@@ -208,7 +208,7 @@ def test_progress_never_goes_back_and_ends_whole() -> None:
 def test_repeated_positions_weigh_as_much_as_they_are() -> None:
     y = noisy(sine(X), 0.1)
     twice = np.concatenate([X, X]), np.concatenate([y + 0.05, y - 0.05])
-    distinct, means, weights, _, _ = merge_repeated(twice[0], twice[1][:, None])
+    distinct, means, weights, _ = merge_repeated(twice[0], twice[1][:, None])
     np.testing.assert_allclose(means[:, 0], y)
     assert np.all(weights == 2)
     assert rmse(RBFNetwork().fit(*twice).predict(Q), RBFNetwork().fit(distinct, y).predict(Q)) < 0.01

@@ -204,12 +204,11 @@ def test_repeated_positions_are_found_among_those_that_look_alike(d: int) -> Non
     # On a lattice many positions share coordinates; some are there several times.
     X = rng.integers(0, 9, (200, d)).astype(np.float64)
     y = rng.normal(size=(200, 1))
-    distinct, means, weights, scatter, group = merge_repeated(X, y)
+    distinct, means, weights, group = merge_repeated(X, y)
     assert len(np.unique(X, axis=0)) == len(distinct) == len(np.unique(distinct, axis=0))
     np.testing.assert_array_equal(distinct[group], X)
     np.testing.assert_array_equal(weights, np.bincount(group))
     np.testing.assert_allclose(means[:, 0] * weights, np.bincount(group, y[:, 0]))
-    np.testing.assert_allclose(scatter, np.sum((y - means[group]) ** 2, axis=0))
 
 
 def test_repeated_positions_are_averaged_and_tell_the_noise() -> None:
@@ -222,6 +221,18 @@ def test_repeated_positions_are_averaged_and_tell_the_noise() -> None:
     wild = noisy.copy()
     wild[5] = wild[65] = 60.0
     assert network.set_params().fit(np.vstack([X, X]), wild).outliers_.tolist() == [5, 65]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("exponent", [-1000, -700, 520, 990])
+def test_repeated_values_may_be_of_any_size(exponent: int) -> None:
+    X, y = cloud(60)
+    X, y = np.vstack([X, X]), np.concatenate([y + 0.05, y - 0.05])
+    scale = 2.0**exponent
+    network, huge = RBFNetwork().fit(X, y), RBFNetwork().fit(X, y * scale)
+    assert huge.smoothing_ == network.smoothing_
+    expected = np.multiply(network.predict(QUERIES, return_std=True), scale)
+    np.testing.assert_array_equal(huge.predict(QUERIES, return_std=True), expected)
 
 
 @pytest.mark.parametrize("surface", [waves, dome, crags, rounded])
