@@ -41,6 +41,9 @@ TELLING = 0.5
 PATIENCE = 2
 """Rounds of a closer look without that."""
 
+TRIALS = 4
+"""Fits that ask which small finds of a closer look may come back: one for each point, or for each group of many."""
+
 ROUNDS = 10
 
 GLANCE = 5000
@@ -96,12 +99,13 @@ def set_aside(samples: Samples, fit: Fit, refit: Callable[[Samples, bool], Fit])
             kept, seen, doubts = closer, beyond, 0
             agreed = _kept(*seen, kept, harmless=0.0)
     small = np.flatnonzero(first & ~kept & ~agreed & (np.max(np.abs(seen[0]), axis=1) <= HARMLESS))
-    for row in small[np.argsort(np.abs(seen[0][small]).max(axis=1) / seen[1][small])]:
+    small = small[np.argsort(np.abs(seen[0][small]).max(axis=1) / seen[1][small])]
+    for rows in filter(len, np.array_split(small, TRIALS)):
         # A point where the surface is steepest may be far off without being wrong: the others do not suffer from it.
         more = kept.copy()
-        more[row] = True
+        more[rows] = True
         if TELLING * np.median(np.abs(_look(samples, more, refit)[0][more])) < np.median(np.abs(seen[0][kept])):
-            agreed[row] = True
+            agreed[rows] = True
     agreed |= _within_tail(*seen, kept)
     company = _company(seen[0], ~agreed, near)
     if company.any():

@@ -13,7 +13,7 @@ from sklearn.base import clone
 from sklearn.utils.estimator_checks import check_estimator
 
 from common.errors import NotReadyError, ParameterError, PointsError, TrainingError
-from common.network import NetworkWarning, RBFNetwork
+from common.network import NetworkWarning, RBFNetwork, robust
 from common.network import fitting as fitting_module
 from common.network.estimator import merge_repeated
 from common.network.partition import Partition
@@ -172,6 +172,20 @@ def test_wild_values_leave_no_trace_on_a_surface_without_noise(
     without = RBFNetwork().fit(X[~wrong], surface(X[~wrong])).predict(QUERIES) - surface(QUERIES)
     left = RBFNetwork().fit(X, wild).predict(QUERIES) - surface(QUERIES)
     assert np.sqrt(np.mean(left**2)) <= 1.5 * np.sqrt(np.mean(without**2))
+
+
+def test_heavy_tails_do_not_cost_a_fit_for_each_suspect(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(2)
+    X = rng.random((900, 2))
+    look, looks = robust._look, []
+
+    def counted(*args: Any) -> Any:
+        looks.append(1)
+        return look(*args)
+
+    monkeypatch.setattr(robust, "_look", counted)
+    RBFNetwork().fit(X, np.exp(5 * rng.normal(size=900)))
+    assert len(looks) < 20
 
 
 def test_noise_of_the_positions_costs_less_than_ignoring_it(monkeypatch: pytest.MonkeyPatch) -> None:
