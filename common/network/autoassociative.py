@@ -29,10 +29,10 @@ FOLDS = 5
 MOST_POINTS = 300
 """Points on which spread and smoothing are judged."""
 
-STEPS = 30
+STEPS = 60
 SETTLED = 1e-12
-LEAST_SLOPE = 0.1
-"""Where z - f_z(z) rises by less than this, Newton's step is not to be trusted."""
+LEAST_RISE = 1e-4
+"""Of z - f_z(z): less than this determines no height, and divides neither the gradient nor the deviation."""
 
 
 @dataclass(slots=True, eq=False)
@@ -113,7 +113,7 @@ class Lifted:
     def _heights(self, X: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Fixed points at X (m, d), shape (m,), and the slope of f_z by z there (m,).
 
-        Newton's method from the height of the nearest point, kept within twice the range of the heights.
+        The search starts at the height of the nearest point, and keeps within twice the range of the heights.
         """
         z, slope = np.empty(len(X)), np.empty(len(X))
         flat, nodes = self.centers[:, :-1], self.centers[:, -1]
@@ -140,29 +140,43 @@ _NUMBERS = ("spread", "smoothing", "variance")
 
 
 def _steepness(slope: FloatArray) -> FloatArray:
-    """How fast z - f_z(z) rises; `LEAST_SLOPE` where it hardly does."""
-    return np.asarray(np.where(np.abs(1 - slope) > LEAST_SLOPE, 1 - slope, LEAST_SLOPE))
+    """How fast z - f_z(z) rises; no less than `LEAST_RISE`, where the surface stands upright."""
+    rise = 1 - slope
+    return np.asarray(np.copysign(np.maximum(np.abs(rise), LEAST_RISE), rise))
 
 
 def _fixed_points(
     terms: FloatArray, nodes: FloatArray, spread: float, bias: float, start: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Solutions of z = b + sum_j t_ij exp(-(z - z_j)^2 / 2 s^2), shape (m,), and the slope of the right side."""
+    """Solutions of z = b + sum_j t_ij exp(-(z - z_j)^2 / 2 s^2), shape (m,), and the slope of the right side.
+
+    Newton's steps, at most a spread long, are halved until the gap between both sides falls. Where there is no solution
+    on the way it is the height of the least gap.
+    """
     extent = float(np.ptp(nodes)) or 1.0
     low, high = nodes.min() - extent / 2, nodes.max() + extent / 2
-    z, slope = start, np.zeros(len(start))
-    for _ in range(STEPS):
+
+    def sides(terms: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         offsets = nodes - z[:, None]
         values = terms * np.exp(offsets**2 * (-0.5 / spread**2))
         gap = values.sum(axis=1) + bias - z
         slope = np.einsum("mn,mn->m", values, offsets) / spread**2
-        # A slope of one is the identity: no height is better than another, and a plain step is all there is.
-        step = gap / np.where(np.abs(1 - slope) > LEAST_SLOPE, 1 - slope, 1.0)
-        moved = np.clip(z + step, low, high)
-        settled = float(np.max(np.abs(moved - z), initial=0.0)) <= SETTLED * extent
-        z = moved
-        if settled:
+        rise = 1 - slope
+        return gap, slope, np.clip(gap / np.where(rise == 0, np.finfo(float).tiny, rise), -spread, spread)
+
+    z = start.copy()
+    gap, slope, step = sides(terms, z)
+    for _ in range(STEPS):
+        unsettled = np.flatnonzero(np.abs(step) > SETTLED * extent)
+        if not len(unsettled):
             break
+        moved = np.clip(z[unsettled] + step[unsettled], low, high)
+        found = sides(terms[unsettled], moved)
+        better = np.abs(found[0]) < np.abs(gap[unsettled])
+        step[unsettled[~better]] /= 2
+        rows = unsettled[better]
+        z[rows] = moved[better]
+        gap[rows], slope[rows], step[rows] = (values[better] for values in found)
     return z, slope
 
 
