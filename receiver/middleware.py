@@ -19,6 +19,7 @@ from common.channel.carrying import (
     carry,
     faults_header,
     transmission_of,
+    with_faults,
 )
 from common.errors import SurfacelinkError
 from common.problems import problem_of
@@ -128,7 +129,8 @@ def _announce(faults: str, send: Send) -> Send:
     async def announced(message: Message) -> None:
         if message["type"] == "http.response.start":
             message = dict(message, headers=list(message.get("headers", [])))
-            MutableHeaders(raw=message["headers"])[FAULTS_HEADER] = faults
+            headers = MutableHeaders(raw=message["headers"])
+            headers[FAULTS_HEADER] = with_faults(faults, headers.get(FAULTS_HEADER))
         await send(message)
 
     return announced

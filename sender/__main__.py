@@ -129,10 +129,12 @@ def send(
     )
     sent, trained = anyio.run(_send, prepared, order, receiver, harm, wait)
     counts = sent.receipt.packets
-    total = "?" if counts.total is None else counts.total
+    # A receiver that nothing reached does not know how much there was.
+    total = len(prepared.packets) if counts.total is None else counts.total
+    missing = total - counts.received if counts.absent is None else counts.absent
     console.print(
         f"receiver: {counts.received} of {total} packets, {counts.damaged} damaged, {counts.duplicate} duplicate, "
-        f"{counts.rebuilt} rebuilt, {counts.absent or 0} missing, {sent.retransmitted} sent again; "
+        f"{counts.rebuilt} rebuilt, {missing} missing, {sent.retransmitted} sent again; "
         f"holds {sent.receipt.points} points",
         soft_wrap=True,
     )

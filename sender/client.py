@@ -120,6 +120,8 @@ class ReceiverClient:
             raise ParameterError(f"{url!r} is not a URL: {error}") from error
         if parsed.scheme not in ("http", "https") or not parsed.host:
             raise ParameterError(f"{url!r} is not a receiver's URL; accepted is for example http://127.0.0.1:8001")
+        if parsed.port is not None and not 1 <= parsed.port <= 65535:
+            raise ParameterError(f"{url!r} is not a receiver's URL; its port must be 1 to 65535")
         timeout = httpx.Timeout(READ_TIMEOUT, connect=CONNECT_TIMEOUT)
         return cls(httpx.AsyncClient(base_url=parsed, timeout=timeout, transport=transport))
 

@@ -70,10 +70,13 @@ class Surface(Protocol):
         """The true heights on a grid of `shape` (rows, columns)."""
 
 
-def _checked_count(n: int, limit: int | None = None) -> int:
-    if n < 1 or (limit is not None and n > limit):
-        accepted = "1 or more" if limit is None else f"1 to {limit}"
-        raise ParameterError(f"the number of points must be {accepted}, got {n}")
+MOST_POINTS = 10_000_000
+"""Points of a cloud that is drawn from a formula."""
+
+
+def _checked_count(n: int, limit: int) -> int:
+    if not 1 <= n <= limit:
+        raise ParameterError(f"the number of points must be 1 to {limit}, got {n}")
     return n
 
 
@@ -92,8 +95,8 @@ class AnalyticSurface:
     units: Units = Units()
 
     def sample(self, rng: np.random.Generator, n: int | None = None) -> FloatArray:
-        """`n` points, uniform over the region; raises ParameterError for n < 1."""
-        n = _checked_count(self.points if n is None else n)
+        """`n` points, uniform over the region; raises ParameterError unless 1 <= n <= `MOST_POINTS`."""
+        n = _checked_count(self.points if n is None else n, MOST_POINTS)
         x = rng.uniform(self.region.x_min, self.region.x_max, n)
         y = rng.uniform(self.region.y_min, self.region.y_max, n)
         return np.column_stack([x, y, self.height(x, y)])

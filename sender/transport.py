@@ -18,6 +18,7 @@ from common.channel.carrying import (
     carry,
     faults_header,
     transmission_of,
+    with_faults,
 )
 
 Sleep: TypeAlias = Callable[[float], Awaitable[None]]
@@ -68,7 +69,7 @@ class ChannelTransport(httpx.AsyncBaseTransport):
             request.method, request.url, headers=headers, content=delivery.body, extensions=request.extensions
         )
         response = await self.transport.handle_async_request(harmed)
-        response.headers[FAULTS_HEADER] = faults
+        response.headers[FAULTS_HEADER] = with_faults(faults, response.headers.get(FAULTS_HEADER))
         return response
 
     async def aclose(self) -> None:

@@ -19,7 +19,7 @@ from common.channel import Channel, PointImpairment
 from common.errors import MissingExtraError, NotFoundError, ParameterError
 from common.wire import WireOptions
 from sender.features import Extracted
-from sender.surfaces import find_surface
+from sender.surfaces import MOST_POINTS, find_surface
 from simulator import fields
 from simulator.codecs import find_codec
 from simulator.codecs.protection import find_protection
@@ -51,7 +51,7 @@ class SurfaceChoice(Settings):
     field: str | None = None
     file: Path | None = Field(default=None, exclude=True)
     columns: tuple[str, str, str] | None = None
-    points: int | None = Field(default=None, ge=3, le=10_000_000)
+    points: int | None = Field(default=None, ge=3, le=MOST_POINTS)
     pieces: int | None = Field(default=None, ge=1, le=4000)
     content: str | None = Field(default=None, description="digest of the file, filled in when it is read")
 
@@ -84,7 +84,7 @@ class FeatureSettings(Settings):
     finest pieces whose packets, protection included, fit into that many bytes).
     """
 
-    points: int | None = Field(default=None, ge=3, le=10_000_000)
+    points: int | None = Field(default=None, ge=3, le=MOST_POINTS)
     kind: Extracted = "extrema"
     gap: float | None = Field(default=None, gt=0)
     pieces: int | None = Field(default=None, ge=1, le=4000)

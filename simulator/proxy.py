@@ -120,6 +120,8 @@ def _address(upstream: str) -> httpx.URL:
         raise ParameterError(f"upstream {upstream!r} is no address: {error}") from error
     if url.scheme not in ("http", "https") or not url.host or url.query or url.fragment:
         raise ParameterError(f"upstream must be of the form http://host:port, got {upstream!r}")
+    if url.port is not None and not 1 <= url.port <= 65535:
+        raise ParameterError(f"the port of upstream must be 1 to 65535, got {upstream!r}")
     return url
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from itertools import pairwise
 from threading import Lock
 
@@ -106,3 +107,12 @@ def carry(
 def faults_header(delivery: Delivery) -> str:
     """The value of the response header."""
     return ", ".join(f"{kind}={count}" for kind, count in delivery.counts.items()) or "none"
+
+
+def with_faults(own: str, inner: str | None) -> str:
+    """The value of the header where an inner channel answered with one already: its counts are added."""
+    counts: Counter[str] = Counter()
+    for kind, _, count in (pair.partition("=") for value in (own, inner or "") for pair in value.split(", ")):
+        if count.isdecimal():
+            counts[kind] += int(count)
+    return ", ".join(f"{kind}={count}" for kind, count in counts.items()) or "none"

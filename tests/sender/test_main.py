@@ -44,7 +44,9 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *ar
         (["names.csv"], "names.csv holds a line of names and no point"),
         (["huge.csv"], "1e+300; accepted are coordinates up to 1e+100"),
         (["surface-1", "--points", "1"], "at least 3"),
+        (["surface-1", "--points", "99999999999"], "the number of points must be 1 to 10000000"),
         (["surface-1", "--receiver", "localhost"], "not a receiver's URL"),
+        (["surface-1", "--receiver", "http://127.0.0.1:99999"], "its port must be 1 to 65535"),
         (["surface-1", "--channel", "gausian:std=1"], "did you mean 'gaussian'?"),
         (["surface-1", "--id", "a b"], "id: String should match"),
         (["nothing.csv"], "No such file"),
@@ -179,3 +181,19 @@ def test_send_says_what_was_kept_and_what_the_network_left_out(
     assert status == 0
     assert out.count("curl -X DELETE http://127.0.0.1:9/v1/surfaces/surface-1") == repeats
     assert "2 of 50 points set aside as outliers\nnetwork: the spread [narrowest] stays\n" in out
+
+
+def test_where_nothing_arrived_all_packets_are_missing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    counts: dict[str, Any] = {"received": 0, "damaged": 0, "duplicate": 0, "total": None, "missing": []}
+    receipt = {"id": "a", "points": 0, "complete": False, "state": "receiving", "packets": counts}
+
+    def connect(url: str, _transport: object) -> ReceiverClient:
+        transport = httpx.MockTransport(lambda _: httpx.Response(202, json=receipt))
+        return ReceiverClient(httpx.AsyncClient(base_url=url, transport=transport))
+
+    monkeypatch.setattr(ReceiverClient, "connect", connect)
+    status, out, _ = run(monkeypatch, capsys, "send", "surface-1", *NOWHERE)
+    assert status == 0
+    assert "receiver: 0 of 2 packets, 0 damaged, 0 duplicate, 0 rebuilt, 2 missing, 0 sent again" in out

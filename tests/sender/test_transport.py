@@ -18,11 +18,12 @@ class Recorder:
     def __init__(self) -> None:
         self.requests: list[httpx.Request] = []
         self.slept: list[float] = []
+        self.headers: dict[str, str] = {}
 
     async def answer(self, request: httpx.Request) -> httpx.Response:
         await request.aread()
         self.requests.append(request)
-        return httpx.Response(202)
+        return httpx.Response(202, headers=self.headers)
 
     async def sleep(self, seconds: float) -> None:
         self.slept.append(seconds)
@@ -49,6 +50,18 @@ async def test_the_server_gets_what_the_channel_delivers(packets: list[bytes]) -
     assert request.headers["x-other"] == "kept"
     counts = dict(part.split("=") for part in answer.headers["surfacelink-faults"].split(", "))
     assert counts == {kind: str(count) for kind, count in expected.counts.items()}
+
+
+@pytest.mark.anyio
+async def test_the_faults_of_an_inner_channel_are_added(packets: list[bytes]) -> None:
+    recorder = Recorder()
+    recorder.headers = {"Surfacelink-Faults": "gaussian=6, erasure=2"}
+    async with recorder.client("erasure:p=1") as client:
+        answer = await client.post(URL, content=b"".join(packets))
+    assert answer.headers["surfacelink-faults"] == f"erasure={len(packets) + 2}, gaussian=6"
+    async with recorder.client("erasure:p=0") as client:
+        answer = await client.post(URL, content=b"".join(packets))
+    assert answer.headers["surfacelink-faults"] == "gaussian=6, erasure=2"
 
 
 @pytest.mark.anyio

@@ -212,7 +212,9 @@ async def test_the_answer_is_closed_when_the_client_goes_away() -> None:
             await closed.wait()
 
 
-@pytest.mark.parametrize("upstream", ["", "server:80", "ftp://server", "http://", "http://a?b=1", "http://[::"])
+@pytest.mark.parametrize(
+    "upstream", ["", "server:80", "ftp://server", "http://", "http://a?b=1", "http://[::", "http://a:99999"]
+)
 def test_an_upstream_that_is_no_address_is_refused(upstream: str) -> None:
     with pytest.raises(ParameterError, match="upstream"):
         create_proxy(upstream, Channel())
