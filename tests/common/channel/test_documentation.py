@@ -36,11 +36,14 @@ def test_every_profile_has_its_line(page: str) -> None:
         assert f"| `{name}` | `{profile.channel}` | {profile.summary} | {profile.source} |" in page
 
 
-def test_the_code_on_the_page_runs(page: str, few_packets: list[bytes], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_code_on_the_page_runs(
+    page: str, few_packets: list[bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     module = ModuleType("page")
     monkeypatch.setitem(sys.modules, "page", module)
     for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL):
         exec(block, module.__dict__)
+    module.__dict__["test_a_surface_survives_a_poor_link"](tmp_path)
     stuck = module.__dict__["StuckByte"](p=1, value=255)
     delivery = Channel([stuck], seed=1).transmit(few_packets, transmission="hills")
     changed = [
