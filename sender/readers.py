@@ -133,7 +133,7 @@ def _parse_text(data: bytes, name: str, columns: Sequence[str] | None, most: int
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise FileFormatError(f"{name} is not a text file: {error.reason} at byte {error.start}") from error
+        raise FileFormatError(f"{name} is not text in UTF-8: {error.reason} at byte {error.start}") from error
     lines = [line for line in (raw.partition("#")[0].strip() for raw in text.splitlines()) if line]
     if not lines:
         raise FileFormatError(f"{name} is empty; accepted is one point a line, three columns x, y, z")

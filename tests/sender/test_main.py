@@ -56,7 +56,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *ar
         (["line.csv"], "one line"),
         (["nan.csv"], "NaN or infinite"),
         (["repeated.csv"], "more than one height"),
-        (["binary.csv"], "not a text file"),
+        (["binary.csv"], "not text in UTF-8"),
         (["picture.png"], "accepted endings"),
     ],
 )

@@ -83,7 +83,7 @@ def test_a_header_that_promises_too_many_points_is_enough_to_refuse_a_file() -> 
         (b"1,2,3\n1,2\n", "a.csv", "not a table of numbers"),
         (b"1,2,3\n1,2,three\n", "a.csv", "not a table of numbers"),
         (b"1,2,3,4\n", "a.csv", "4 columns"),
-        (b"\xff\xfe\x00", "a.csv", "not a text file"),
+        (b"\xff\xfe\x00", "a.csv", "not text in UTF-8"),
         (b"PK\x03\x04", "a.npy", "not an NPY file"),
         (b"\x93NUMPY\x03\x00", "a.npy", "not an NPY file"),
         (npy(np.zeros((3, 4))), "a.npy", r"shape \(3, 4\)"),
