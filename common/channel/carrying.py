@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Mapping
 from itertools import pairwise
 from threading import Lock
 
@@ -106,7 +107,7 @@ def carry(
 
 def faults_header(delivery: Delivery) -> str:
     """The value of the response header."""
-    return ", ".join(f"{kind}={count}" for kind, count in delivery.counts.items()) or "none"
+    return _listed(delivery.counts)
 
 
 def with_faults(own: str, inner: str | None) -> str:
@@ -115,4 +116,8 @@ def with_faults(own: str, inner: str | None) -> str:
     for kind, _, count in (pair.partition("=") for value in (own, inner or "") for pair in value.split(", ")):
         if count.isdecimal():
             counts[kind] += int(count)
+    return _listed(counts)
+
+
+def _listed(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{kind}={count}" for kind, count in counts.items()) or "none"

@@ -18,7 +18,7 @@ from common.network.autoassociative import Lifted
 from common.network.calibration import calibrated
 from common.network.expansion import Expansion
 from common.network.kernel import ladder_spreads, mean_spacing, nearest_distance, span
-from common.network.partition import CALM, FAR_MORE, MORE_OR_LESS, PROBES, Partition, strays
+from common.network.partition import CALM, PROBES, Partition, strays, tolerated
 from common.network.selection import (
     CLEAN,
     ROUGHNESS,
@@ -74,6 +74,11 @@ class Wanted:
     smoothing: float | None = None
     tolerance: float = 0.0
     max_centers: int | None = None
+
+    @property
+    def free(self) -> bool:
+        """Whether spread and smoothing come from the data."""
+        return self.spread is None and self.smoothing is None
 
     @property
     def sparse(self) -> bool:
@@ -201,7 +206,7 @@ def _train_dense(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
     fit, outliers = robust.set_aside(samples, fit, lambda part, quick: _select(part, wanted, tick, quick=quick))
     samples = samples.without(outliers)
     network = _expansion(samples, fit)
-    if wanted.spread is None and wanted.smoothing is None and strays(network.predict(_between(samples.X)), samples.y):
+    if wanted.free and strays(network.predict(_between(samples.X)), samples.y):
         network = _expansion(samples, _tempered(samples, fit, wanted, tick))
     trained = Trained(network, outliers, np.zeros(0), notes=notes)
     if wanted.sparse:
@@ -224,7 +229,7 @@ def _tempered(samples: Samples, fit: Fit, wanted: Wanted, tick: Tick) -> Fit:
     """
     calm = _chosen(samples, wanted, tick, kinds=[Kind("ladder", h) for h in ROUGHNESS if h <= CALM])
     there, here = (float(np.sum(each.residuals**2)) for each in (fit, calm))
-    return calm if here < (FAR_MORE if fit.smoothing < CLEAN else MORE_OR_LESS) * there else fit
+    return calm if here < tolerated(fit.smoothing) * there else fit
 
 
 def _expansion(samples: Samples, fit: Fit) -> Expansion:
@@ -324,7 +329,7 @@ def _train_partition(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
             outliers = outliers[~agreed]
             network = _partition(samples.without(outliers), wanted, tick)
     trained = Trained(network, outliers, np.zeros(0), notes=notes)
-    if wanted.spread is None and wanted.smoothing is None:
+    if wanted.free:
         _coarsen(trained, network, samples.without(outliers), wanted, tick)
     return trained
 

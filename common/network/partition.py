@@ -420,7 +420,7 @@ class Partition:
             asked = rng.permutation(patches)[:MORE]
             if len(asked):
                 total += len(patches) / len(asked) * self._summed(asked, values, kernels, smoothings)[1]
-        total[0] *= FAR_MORE if self.smoothing.max() < CLEAN else MORE_OR_LESS
+        total[0] *= tolerated(float(self.smoothing.max()))
         kernel, level = np.unravel_index(int(np.argmin(total)), total.shape)
         return kernels[kernel], float(smoothings[level])
 
@@ -687,6 +687,11 @@ def strays(heights: FloatArray, values: FloatArray, accepted: float = ASTRAY) ->
     """Whether any of the heights (m, k) is more than `accepted` half ranges off the middle of the values (n, k)."""
     middle = (values.max(axis=0) + values.min(axis=0)) / 2
     return not np.all(np.abs(heights - middle) <= accepted * np.ptp(values, axis=0) / 2)
+
+
+def tolerated(smoothing: float) -> float:
+    """Times a kernel's sum of squares that a calm ladder must leave for the kernel, of this smoothing, to stay."""
+    return FAR_MORE if smoothing < CLEAN else MORE_OR_LESS
 
 
 def _ladders(most: float = np.inf) -> list[Kernel]:
