@@ -341,7 +341,7 @@ async def live() -> schemas.Health:
 
 @api.get("/health/ready", tags=["health"], summary="Can it take packets in?", responses=_problems(503))
 async def ready(here: Here) -> schemas.Health:
-    """Yes, if its store answers."""
+    """Yes, if its store can be written: a little is, and synced."""
     await run_in_thread(here.store.ping)
     return schemas.Health()
 

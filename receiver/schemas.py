@@ -112,7 +112,9 @@ class SurfaceInfo(Answer):
     settings: dict[str, Any] = Field(description="Settings of the network that were given.")
     progress: Progress | None = Field(description="How far the training is, while there is one.")
     network: dict[str, Any] | None = Field(description="The network, once it is ready.")
-    error: Problem | None = Field(description="Why the training failed, or could not be resumed after a start.")
+    error: Problem | None = Field(
+        description="Why the training failed, could not be resumed after a start, or what came of it not be stored."
+    )
     links: Links
 
 

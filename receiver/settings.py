@@ -16,9 +16,12 @@ class Settings(BaseSettings):
 
     host: Annotated[str, Field(min_length=1, description="Address to listen on.")] = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65_535, description="Port to listen on; 0 takes a free one.")] = 8001
-    data: Annotated[Path, Field(description="Folder that keeps what was received and trained.")] = Path(
-        "surfacelink-data"
-    )
+    data: Annotated[
+        Path,
+        Field(
+            description="Folder that keeps what was received and trained, and 4 MiB more for deletions on a full disk."
+        ),
+    ] = Path("surfacelink-data")
     channel: Annotated[
         str, Field(description='The channel in front of the receiver, such as "gaussian:std=0.1;erasure:p=0.05".')
     ] = "clean"

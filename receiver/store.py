@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import sqlite3
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from hashlib import sha256
@@ -26,6 +27,16 @@ import numpy.typing as npt
 from common.errors import NotFoundError, StoreError
 
 SCHEMA_VERSION = 2
+
+RESERVE = 4 << 20
+"""Bytes held back on the disk for a deletion where it is full: as many as SQLite's log takes before its pages go to
+where they belong (1,000 pages of 4 KiB)."""
+
+PROBE = 64 << 10
+"""Bytes that must fit on the disk for the store to count as one that can be written."""
+
+STEP = 256
+"""Pages given back to the disk at once: their log fits the reserve many times."""
 
 _SCHEMA = """
 CREATE TABLE surfaces (
@@ -142,7 +153,8 @@ def unpack_state(data: bytes) -> State:
 class Store:
     """The file ``receiver.sqlite3`` in `folder`, which is made where it is missing.
 
-    Safe to call from several threads. One process at a time owns the file.
+    Beside it ``receiver.reserve`` holds room back, for a deletion needs some where the disk is full. Safe to call from
+    several threads. One process at a time owns the file.
 
     Raises
     ------
@@ -153,6 +165,7 @@ class Store:
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / "receiver.sqlite3"
+        self._reserve = folder / "receiver.reserve"
         self._lock = threading.Lock()
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -172,8 +185,14 @@ class Store:
         except StoreError:
             self._db.close()
             raise
+        self._hold_reserve()
 
     def _prepare(self) -> None:
+        if self._db.execute("PRAGMA page_count").fetchone() == (0,):
+            # In an older file, room that a deletion gives is used again and not given back.
+            self._db.execute("PRAGMA auto_vacuum = INCREMENTAL")
+        # Else a deletion overwrites what it removes, and needs as much room as it frees.
+        self._db.execute("PRAGMA secure_delete = OFF")
         # The caches of a receiver hold only while no other process writes.
         self._db.execute("PRAGMA locking_mode = EXCLUSIVE")
         self._db.execute("PRAGMA journal_mode = WAL")
@@ -192,7 +211,8 @@ class Store:
                 f"{self.path} has schema version {version}, this receiver knows {SCHEMA_VERSION}; "
                 "start a newer receiver, or choose another folder"
             )
-        self._db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+        if version != SCHEMA_VERSION:  # a disk that is full must not keep the receiver from starting
+            self._db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
         self._db.execute("COMMIT")
 
     def __enter__(self) -> Self:
@@ -329,12 +349,65 @@ class Store:
             db.execute("DELETE FROM models WHERE surface = ? AND digest = ?", (n, digest))
 
     def delete(self, name: str) -> Row:
-        """Remove a surface and all that belongs to it; raises NotFoundError where there is none."""
+        """Remove a surface and all that belongs to it; raises NotFoundError where there is none.
+
+        What it frees is given back to the disk; on a full one, what is held back is spent on it.
+        """
         row = self.get(name)
-        with self._transaction() as db:
-            db.execute("DELETE FROM surfaces WHERE n = ?", (row.n,))
+        try:
+            self._delete(row.n)
+        except StoreError:
+            with suppress(OSError):
+                self._reserve.unlink(missing_ok=True)
+            self._delete(row.n)
+        finally:
+            self._give_back()
+            self._hold_reserve()
         return row
 
+    def _delete(self, n: int) -> None:
+        with self._transaction() as db:
+            db.execute("DELETE FROM surfaces WHERE n = ?", (n,))
+
+    def _give_back(self) -> None:
+        """Shorten the files by the pages that are free, as far as there is room to move others in their place."""
+        with suppress(StoreError):
+            free, before = self._free_pages(), None
+            while free != before:
+                self._fetch(f"PRAGMA incremental_vacuum({STEP})")
+                self._fetch("PRAGMA wal_checkpoint(TRUNCATE)")
+                free, before = self._free_pages(), free
+
+    def _free_pages(self) -> int:
+        ((pages,),) = self._fetch("PRAGMA freelist_count")
+        return int(pages)
+
+    def _hold_reserve(self) -> None:
+        """Hold room back, unless that is done or there is none."""
+        try:
+            if not self._reserve.exists():
+                _write(self._reserve, RESERVE)
+        except OSError:
+            with suppress(OSError):
+                self._reserve.unlink(missing_ok=True)
+
     def ping(self) -> None:
-        """Raise StoreError unless the store answers."""
-        self._fetch("SELECT 1")
+        """Raise StoreError unless the store takes a small write, and the disk has room for more."""
+        with self._transaction() as db:
+            db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+        probe = self.path.with_name("receiver.probe")
+        try:
+            try:
+                _write(probe, PROBE)
+            finally:
+                probe.unlink(missing_ok=True)
+        except OSError as error:
+            raise StoreError(f"the data folder cannot be written: {error.strerror}") from error
+
+
+def _write(path: Path, length: int) -> None:
+    """Write and sync `length` bytes; raises OSError."""
+    with path.open("wb") as file:
+        file.write(bytes(length))
+        file.flush()
+        os.fsync(file.fileno())

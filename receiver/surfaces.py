@@ -26,7 +26,7 @@ from receiver import schemas
 from receiver.events import Changes
 from receiver.metrics import Metrics
 from receiver.store import Row, Store
-from receiver.training import Trainings
+from receiver.training import STORING, Trainings
 
 MISSING_NAMED = 1_000
 """Missing packets that a receipt names even if fewer have arrived: how many there are is but what a packet claims."""
@@ -88,8 +88,9 @@ class Surfaces:
         self._locks: WeakValueDictionary[str, anyio.Lock] = WeakValueDictionary()
         self._reassemblies: _Recent[Reassembly] = _Recent(cached)
         self._models: _Recent[SurfaceModel] = _Recent(cached)
-        self._unresumed: dict[tuple[int, int], dict[str, Any]] = {}
-        """Why the training of a surface's revision could not be resumed. Not kept: the next start tries again."""
+        self._unkept: dict[tuple[int, int], dict[str, Any]] = {}
+        """Why a surface's revision failed, where that is not on disk: its training could not be resumed, or what came
+        of it not be stored. The next start tries again, and so does the next body."""
 
     @classmethod
     @asynccontextmanager
@@ -209,8 +210,9 @@ class Surfaces:
             renew=renew,
         )
         self._reassemblies.put(name, reassembly)
-        # What could not be resumed after a start gets another chance.
-        training = renew or (idle and schemas.state_of(row) == "training")
+        # What could not be resumed after a start, or not be stored, gets another chance.
+        again = idle or (row.n, row.revision) in self._unkept
+        training = renew or (again and schemas.state_of(row) == "training")
         missing = reassembly.missing[: max(MISSING_NAMED, reassembly.received)]
         return row, delivery, features if training else None, list(missing)
 
@@ -231,7 +233,7 @@ class Surfaces:
     # Training
 
     def _start(self, row: Row, features: FeatureSet) -> None:
-        self._unresumed.pop((row.n, row.revision), None)
+        self._unkept.pop((row.n, row.revision), None)
 
         def work(callback: Callable[[str, float], None]) -> SurfaceModel:
             with self.metrics.training():
@@ -252,27 +254,35 @@ class Surfaces:
                 logger.exception("training of %s could not be resumed", name)
                 if row is not None:
                     failure = StoreError(f"what was kept of {name} cannot be read: {error}; send its packets again")
-                    self._unresumed[row.n, row.revision] = problem_of(failure).model_dump(exclude_none=True)
+                    self._unkept[row.n, row.revision] = problem_of(failure).model_dump(exclude_none=True)
                     self.changes.publish(name)
 
     async def _finish(self, row: Row, outcome: SurfaceModel | SurfacelinkError) -> None:
-        if isinstance(outcome, SurfacelinkError):
-            problem = problem_of(outcome).model_dump(exclude_none=True)
-            await run_in_thread(self.store.failed, row.n, row.revision, problem)
-            self.metrics.trained("failed")
-        else:
+        job = self.trainings.get(row.id)
+        failure = outcome if isinstance(outcome, SurfacelinkError) else None
+        try:
             await run_in_thread(self._keep, row, outcome)
-            self.metrics.trained("ready")
+        except StoreError as error:
+            # One failure may pass; who waits for the surface is told of the second.
+            if job is not None and job.stage == STORING and self.trainings.get(row.id) is job:
+                told = failure or _unstored(row.id, error)
+                self._unkept[row.n, row.revision] = problem_of(told).model_dump(exclude_none=True)
+            raise
+        self._unkept.pop((row.n, row.revision), None)
+        self.metrics.trained("failed" if failure else "ready")
 
-    def _keep(self, row: Row, model: SurfaceModel) -> None:
-        digest = self.store.trained(row.n, row.revision, state=model.to_state(), summary=model.summary())
-        self._models.put(digest, model)
+    def _keep(self, row: Row, outcome: SurfaceModel | SurfacelinkError) -> None:
+        if isinstance(outcome, SurfacelinkError):
+            self.store.failed(row.n, row.revision, problem_of(outcome).model_dump(exclude_none=True))
+            return
+        digest = self.store.trained(row.n, row.revision, state=outcome.to_state(), summary=outcome.summary())
+        self._models.put(digest, outcome)
 
     # Answering
 
     def _now(self, row: Row) -> Row:
         """`row` with what the store does not know of it."""
-        problem = self._unresumed.get((row.n, row.revision))
+        problem = self._unkept.get((row.n, row.revision))
         return row if problem is None else replace(row, failed=row.revision, error=problem)
 
     def _progress(self, name: str) -> schemas.Progress | None:
@@ -363,9 +373,17 @@ class Surfaces:
         async with self._lock(name):
             row = await run_in_thread(self.store.delete, name)
             self.trainings.cancel(name)
+            self._unkept.pop((row.n, row.revision), None)
             self._reassemblies.drop(name)
             self._models.drop(row.digest)
         self.changes.publish(name)
+
+
+def _unstored(name: str, error: StoreError) -> StoreError:
+    return StoreError(
+        f"{name} was trained, and its network could not be stored: {error}; it will be, within a minute of there being "
+        "room"
+    )
 
 
 def _framed(body: bytes) -> bool:

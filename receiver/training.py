@@ -26,6 +26,9 @@ FIRST_PAUSE, LONGEST_PAUSE = 0.5, 60.0
 """Seconds before an outcome that could not be stored is stored again: doubled each time, up to what one waits who made
 room on the disk."""
 
+STORING = "storing"
+"""Stage of a job whose outcome could not be stored yet."""
+
 logger = logging.getLogger(__name__)
 
 Work: TypeAlias = Callable[[Callable[[str, float], None]], SurfaceModel]
@@ -45,7 +48,7 @@ class Job:
     Attributes
     ----------
     stage, fraction : str, float
-        How far it is; "queued" until it starts, "storing" where its outcome could not be stored yet.
+        How far it is; "queued" until it starts, `STORING` where its outcome could not be stored yet.
     """
 
     surface: str
@@ -133,7 +136,7 @@ class Trainings:
                 ours = not isinstance(error, StoreError)
                 logger.warning("the outcome of training %s could not be stored: %s", job.surface, error, exc_info=ours)
                 outcome = _unforeseen() if ours else outcome
-                job.stage, job.fraction = "storing", 0.0
+                job.stage, job.fraction = STORING, 0.0
                 self._changed(job.surface)
                 await self._sleep(pause)
                 pause = min(2 * pause, LONGEST_PAUSE)

@@ -185,6 +185,56 @@ async def test_a_store_that_fails_once_delays_an_outcome_and_no_more(
         assert not failures
 
 
+@pytest.mark.parametrize("action", ["wait", "post", "delete"])
+async def test_an_outcome_that_cannot_be_stored_is_told_until_it_can(
+    running: Running, features: FeatureSet, monkeypatch: pytest.MonkeyPatch, action: str
+) -> None:
+    body = b"".join(packets_of(features, "hills"))
+    transaction, disk_is_full = Store._transaction, threading.Event()
+
+    def limited(store: Store) -> Any:
+        if disk_is_full.is_set():
+            raise StoreError("the store failed: database or disk is full")
+        return transaction(store)
+
+    def train(features: FeatureSet, settings: NetworkSettings, *, callback: Any) -> SurfaceModel:
+        model = SurfaceModel.train(features, settings, callback=callback)
+        if not trained.is_set():
+            trained.set()
+            disk_is_full.set()
+        return model
+
+    trained = threading.Event()
+    monkeypatch.setattr(Store, "_transaction", limited)
+    async with running(train=train) as client:
+        surfaces, states = client.app.state.surfaces, []
+        await client.transmit("hills", body)
+        with anyio.fail_after(20):
+            async for event in _events(surfaces, "hills"):
+                states += [event.data["state"]] if event.event == "surface" else []
+        assert states[-1] == "failed"
+        surface = (await client.get("/v1/surfaces/hills?wait=60")).json()
+        assert (surface["state"], surface["error"]["type"]) == ("failed", "/problems/store")
+        assert "could not be stored: the store failed: database or disk is full" in surface["error"]["detail"]
+        assert "disk is full" in (await client.get("/v1/surfaces/hills/grid")).json()["detail"]
+        assert (await client.get("/health/ready")).status_code == 503
+        assert (await client.transmit("hills", body)).status_code == 503
+        assert (await client.transmit("dales", b"".join(packets_of(features, "dales")))).status_code == 503
+        assert (await client.get("/v1/surfaces/dales")).status_code == 404
+        disk_is_full.clear()
+        assert (await client.get("/health/ready")).status_code == 200
+        if action == "post":
+            assert (await client.transmit("hills", body)).json()["state"] == "training"
+        if action == "delete":
+            assert (await client.delete("/v1/surfaces/hills")).status_code == 204
+            assert (await client.get("/v1/surfaces/hills")).status_code == 404
+            assert (await client.transmit("hills", body)).json()["state"] == "training"
+        with anyio.fail_after(20):
+            while (await client.get("/v1/surfaces/hills?wait=60")).json()["state"] != "ready":
+                await anyio.sleep(0.05)
+        assert (await client.get("/v1/surfaces/hills")).json()["error"] is None
+
+
 async def test_a_surface_that_cannot_be_resumed_has_failed_until_its_packets_come_again(
     running: Running, features: FeatureSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:

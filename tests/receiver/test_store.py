@@ -1,7 +1,11 @@
 from __future__ import annotations
 
+import errno
+import os
 import sqlite3
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +13,7 @@ import numpy as np
 import pytest
 
 from common.errors import NotFoundError, StoreError
-from receiver.store import SCHEMA_VERSION, Row, Store, pack_state, unpack_state
+from receiver.store import RESERVE, SCHEMA_VERSION, Row, Store, pack_state, unpack_state
 
 STATE = {"centers": np.arange(6.0).reshape(3, 2), "name": np.array(["a", "b"])}
 
@@ -124,6 +128,72 @@ def test_a_full_disk_is_named_and_what_fits_later_is_kept(tmp_path: Path) -> Non
         store._fetch("PRAGMA max_page_count = 1000000")
         assert take(store, packets=b"two").revision == 2
         assert store.arrivals(1) == [b"one", b"two"]
+
+
+def test_a_deletion_finds_room_on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    reserve, transaction = tmp_path / "receiver.reserve", Store._transaction
+
+    @contextmanager
+    def full(store: Store) -> Iterator[sqlite3.Connection]:
+        with transaction(store) as db:
+            yield db
+            if reserve.exists():
+                raise sqlite3.OperationalError("database or disk is full")
+
+    with Store(tmp_path) as store:
+        take(store)
+        assert reserve.stat().st_size == RESERVE
+        monkeypatch.setattr(Store, "_transaction", full)
+        with pytest.raises(StoreError, match="full"):
+            take(store, "dales")
+        with pytest.raises(StoreError, match="full"):
+            store.ping()
+        store.delete("hills")
+        assert store.count() == 0
+        assert reserve.stat().st_size == RESERVE
+
+
+def test_what_a_deletion_frees_is_given_back_to_the_disk(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        take(store, "first", packets=bytes(2_000_000))
+        take(store, "second", packets=bytes(2_000_000))
+        store.delete("first")
+        assert sum(file.stat().st_size for file in tmp_path.glob("receiver.sqlite3*")) < 2_200_000
+        assert store.arrivals(store.get("second").n) == [bytes(2_000_000)]
+
+
+def test_a_ping_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(path: Path, length: int) -> None:
+        path.write_bytes(b"a part")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with Store(tmp_path) as store:
+        store.ping()
+        before = sorted(tmp_path.iterdir())
+        with monkeypatch.context() as patched:
+            patched.setattr("receiver.store._write", full)
+            with pytest.raises(StoreError, match="cannot be written: No space left on device"):
+                store.ping()
+        assert sorted(tmp_path.iterdir()) == before
+        store._fetch("PRAGMA query_only = ON")
+        with pytest.raises(StoreError, match="readonly"):
+            store.ping()
+
+
+def test_a_full_disk_keeps_no_receiver_from_starting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(path: Path, length: int) -> None:
+        path.write_bytes(b"a part")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("receiver.store._write", full)
+    with Store(tmp_path) as store:
+        take(store)
+    before = (tmp_path / "receiver.sqlite3").read_bytes()
+    with Store(tmp_path) as store:
+        assert store.count() == 1
+        assert sum(file.stat().st_size for file in tmp_path.glob("receiver.sqlite3-wal")) == 0
+    assert (tmp_path / "receiver.sqlite3").read_bytes() == before
+    assert not (tmp_path / "receiver.reserve").exists()
 
 
 def test_a_model_is_asked_for_and_forgotten_by_its_digest(tmp_path: Path) -> None:
