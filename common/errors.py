@@ -28,7 +28,17 @@ Every error that surfacelink raises on purpose derives from `SurfacelinkError`::
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
 from typing import ClassVar
+
+
+def hint(name: str, accepted: Iterable[str]) -> str:
+    """The end of a message about an unknown name: the one that was probably meant, and all that are accepted."""
+    accepted = list(accepted)
+    close = get_close_matches(name, accepted, n=1)
+    guess = f"; did you mean {close[0]!r}?" if close else ";"
+    return f"{guess} accepted are {', '.join(accepted)}"
 
 
 class SurfacelinkError(Exception):

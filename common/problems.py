@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from http import HTTPStatus
+from itertools import islice
 from typing import Any
 
 from pydantic import BaseModel, Field
 
-from common.errors import ParameterError, SurfacelinkError
+from common.errors import ParameterError, SurfacelinkError, hint
 
 MEDIA_TYPE = "application/problem+json"
 
 BRANCH = re.compile(r"literal\[|constrained-|(int|float|str|bool)$")
 """What pydantic puts behind a field's name to say which of several accepted types its complaint is about."""
+
+
+MOST_UNKNOWN = 8
+"""Unknown parameters that are named at once: there is no end to those that can be given."""
 
 
 class InvalidField(BaseModel):
@@ -56,6 +61,30 @@ def problem_of(error: SurfacelinkError) -> Problem:
 def problem_of_status(status: int, detail: str | None = None) -> Problem:
     """The problem that says no more than its HTTP status (RFC 9457, section 4.2.1)."""
     return Problem(type="about:blank", title=HTTPStatus(status).phrase, status=status, detail=detail)
+
+
+def unknown_parameters(
+    document: Mapping[str, Any], path: str, method: str, given: Iterable[str]
+) -> list[dict[str, Any]]:
+    """Query parameters that a call does not have, for `problem_of_fields`; none of them would do anything.
+
+    Parameters
+    ----------
+    document : mapping
+        The service's OpenAPI document; what stands in it nowhere has no parameters.
+    path, method : str
+        Of the call, as the document names it.
+    given : iterable of str
+        Names of the parameters that were given.
+    """
+    call = document["paths"].get(path, {}).get(method.lower(), {})
+    accepted = [each["name"] for each in call.get("parameters", ()) if each["in"] == "query"]
+
+    def told(name: str) -> str:
+        return f"no such parameter{hint(name, accepted)}" if accepted else "no such parameter; none is accepted here"
+
+    unknown = (name[:40] for name in dict.fromkeys(given) if name not in accepted)
+    return [{"loc": ("query", name), "msg": told(name)} for name in islice(unknown, MOST_UNKNOWN)]
 
 
 def problem_of_fields(errors: Sequence[Mapping[str, Any]]) -> Problem:

@@ -33,7 +33,7 @@ from receiver.formats import GRID_FORMATS, TABLE_FORMATS, Format, Table, choose
 from receiver.metrics import CONTENT_TYPE, CountRequests, Metrics
 from receiver.middleware import SENT, ChannelMiddleware
 from receiver.picture import Palette, Style
-from receiver.problems import Guard, install
+from receiver.problems import Guard, install, known_query
 from receiver.settings import Settings
 from receiver.store import Row, Store
 from receiver.surfaces import Surfaces, Train
@@ -497,6 +497,7 @@ def create_app(settings: Settings | None = None, *, train: Train = SurfaceModel.
         lifespan=lifespan,
         docs_url=None,
         redoc_url=None,
+        dependencies=[Depends(known_query)],
         responses=_problems(422, 500),
     )
     app.state.settings = known

@@ -13,7 +13,15 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from common.errors import NotFoundError, SurfacelinkError
-from common.problems import MEDIA_TYPE, Problem, kinds, problem_of, problem_of_fields, problem_of_status
+from common.problems import (
+    MEDIA_TYPE,
+    Problem,
+    kinds,
+    problem_of,
+    problem_of_fields,
+    problem_of_status,
+    unknown_parameters,
+)
 from receiver.limits import limited
 
 logger = logging.getLogger(__name__)
@@ -62,6 +70,15 @@ async def _on_validation_error(_request: Request, error: Exception) -> Response:
 
 async def _on_anything_else(_request: Request, _error: Exception) -> Response:
     return respond(problem_of_status(500, "the fault is the receiver's; its log says more"))
+
+
+async def known_query(request: Request) -> None:
+    """For every route: raises RequestValidationError where a query parameter is not one of the route's."""
+    if request.query_params:
+        path = request.scope["route"].path_format
+        unknown = unknown_parameters(request.app.openapi(), path, request.method, request.query_params)
+        if unknown:
+            raise RequestValidationError(unknown)
 
 
 def install(app: FastAPI) -> None:

@@ -27,6 +27,7 @@ from common.problems import (
     problem_of,
     problem_of_fields,
     problem_of_status,
+    unknown_parameters,
 )
 from common.version import product_version
 from sender.client import ReceiverClient
@@ -272,6 +273,15 @@ async def _on_error(_request: Request, error: Exception) -> Response:
             return _answer(problem_of_status(500, "the fault is the sender's; its log says more"))
 
 
+async def _known_query(request: Request) -> None:
+    """For every route: raises RequestValidationError where a query parameter is not one of the route's."""
+    if request.query_params:
+        path = request.scope["route"].path_format
+        unknown = unknown_parameters(request.app.openapi(), path, request.method, request.query_params)
+        if unknown:
+            raise RequestValidationError(unknown)
+
+
 class SenderAPI(FastAPI):
     """Describes the order, which FastAPI does not see: the body is of one of two kinds."""
 
@@ -310,6 +320,7 @@ def create_app(settings: Settings | None = None, connect: Connect = ReceiverClie
         description="Keeps the feature points of a surface and sends them to the receiver.",
         version=product_version(),
         lifespan=lifespan,
+        dependencies=[Depends(_known_query)],
     )
     app.state.settings = settings
     for kind in (SurfacelinkError, RequestValidationError, HTTPException, Exception):

@@ -13,7 +13,6 @@ just the short string.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from difflib import get_close_matches
 from math import prod
 
 from pydantic import ValidationError
@@ -22,7 +21,7 @@ from common.channel.impairment import Impairment
 from common.channel.impairments import REGISTRY
 from common.channel.impairments.duplication import Duplication
 from common.channel.profiles import PROFILES
-from common.errors import ChannelError
+from common.errors import ChannelError, hint
 
 MAX_IMPAIRMENTS = 32
 """More than any link needs; bounds the work that one PUT /v1/channel can ask of every later transmission."""
@@ -66,19 +65,19 @@ def _parse_part(part: str) -> tuple[Impairment, ...]:
 
 def _profile(name: str) -> tuple[Impairment, ...]:
     if name not in PROFILES:
-        raise ChannelError(f"unknown profile {name!r}{_hint(name, PROFILES)}")
+        raise ChannelError(f"unknown profile {name!r}{hint(name, PROFILES)}")
     return parse_text(PROFILES[name].channel)[0]
 
 
 def build(kind: str, parameters: Mapping[str, object]) -> Impairment:
     """The impairment `kind` with `parameters` (texts or numbers); raises ChannelError naming what is accepted."""
     if kind not in REGISTRY:
-        raise ChannelError(f"unknown impairment {kind!r}{_hint(kind, [*REGISTRY, *PROFILES])}")
+        raise ChannelError(f"unknown impairment {kind!r}{hint(kind, [*REGISTRY, *PROFILES])}")
     model = REGISTRY[kind]
     accepted = [name for name in model.model_fields if name != "kind"]
     for name in parameters:
         if name not in accepted:
-            raise ChannelError(f"{kind} has no parameter {name!r}{_hint(name, accepted)}")
+            raise ChannelError(f"{kind} has no parameter {name!r}{hint(name, accepted)}")
     try:
         return model(**parameters)
     except ValidationError as error:
@@ -95,13 +94,6 @@ def _explain(kind: str, model: type[Impairment], error: ValidationError) -> str:
     given = "" if first["type"] == "missing" else f", got {str(first['input'])[:40]!r}"
     meaning = model.model_fields[name].description
     return f"{kind}: {name} ({meaning}): {problem[0].lower()}{problem[1:]}{given}"
-
-
-def _hint(name: str, accepted: Iterable[str]) -> str:
-    accepted = list(accepted)
-    close = get_close_matches(name, accepted, n=1)
-    guess = f"; did you mean {close[0]!r}?" if close else ";"
-    return f"{guess} accepted are {', '.join(accepted)}"
 
 
 def check_seed(value: object) -> int:
@@ -137,7 +129,7 @@ def parse_json(document: object) -> tuple[tuple[Impairment, ...], int | None]:
     members = ("impairments", "spec", "seed")
     for name in document:
         if name not in members:
-            raise ChannelError(f"a channel has no member {str(name)[:40]!r}{_hint(str(name), members)}")
+            raise ChannelError(f"a channel has no member {str(name)[:40]!r}{hint(str(name), members)}")
     given = check_seed(document["seed"]) if "seed" in document else None
     if "spec" in document:
         if not isinstance(document["spec"], str):

@@ -618,3 +618,33 @@ async def test_a_network_of_many_points_is_a_table_too(client: Client) -> None:
     table = np.load(io.BytesIO(answer.content))
     assert table.shape[1] == 3
     assert len(np.unique(table[:, :2], axis=0)) == surface["network"]["centers"] == 5000
+
+
+@pytest.mark.parametrize(
+    ("method", "url", "told"),
+    [
+        (
+            "GET",
+            "/v1/surfaces/hills/grid?colum=64&shape=4,4",
+            "colum: no such parameter; accepted are shape, bbox, std, f",
+        ),
+        ("GET", "/v1/surfaces/hills/grid?shap=4,4", "shap: no such parameter; did you mean 'shape'?"),
+        ("GET", "/v1/surfaces?limt=3", "limt: no such parameter; did you mean 'limit'? accepted are limit, before"),
+        ("POST", "/v1/transmissions/hills?spred=1", "spred: no such parameter; did you mean 'spread'?"),
+        ("DELETE", "/v1/surfaces/hills?x=1", "x: no such parameter; none is accepted here"),
+        ("GET", "/v1/events?x=1", "x: no such parameter"),
+        ("GET", "/health/live?x", "x: no such parameter"),
+        ("GET", "/problems/store?x=1", "x: no such parameter"),
+        ("GET", "/?x=1", "x: no such parameter"),
+    ],
+)
+async def test_a_query_parameter_that_the_call_does_not_have_is_refused(
+    client: Client, method: str, url: str, told: str
+) -> None:
+    problem = assert_problem(await client.request(method, url), 422, told)
+    assert [error["place"] for error in problem["errors"]] == ["query"]
+
+
+async def test_unknown_query_parameters_without_end_are_not_all_named(client: Client) -> None:
+    answer = await client.get("/v1/surfaces?" + "&".join(f"x{n}" for n in range(2000)))
+    assert len(assert_problem(answer, 422)["errors"]) == 8

@@ -236,3 +236,14 @@ def test_the_api_describes_both_kinds_of_body() -> None:
     assert set(body) == {"application/json", "multipart/form-data"}
     assert "Order" in schema["components"]["schemas"]
     assert schema["info"]["version"] == product_version()
+
+
+@pytest.mark.parametrize(
+    ("method", "url"), [("GET", "/v1/surfaces"), ("POST", "/v1/transmissions"), ("GET", "/health/ready"), ("GET", "/")]
+)
+@pytest.mark.anyio
+async def test_a_query_parameter_that_the_call_does_not_have_is_refused(method: str, url: str) -> None:
+    async with service() as client:
+        answer = await client.request(method, f"{url}?colum=64")
+    assert answer.status_code == 422
+    assert answer.json()["detail"] == "colum: no such parameter; none is accepted here"
