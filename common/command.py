@@ -17,18 +17,30 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def settings_from(model: type[Model], options: Mapping[str, Any]) -> Model:
-    """Settings from the options that are not None, the rest from the environment; raises ParameterError."""
+    """Settings from the options that are not None, the rest from the environment.
+
+    Raises ParameterError, which names the option or the variable that is wrong.
+    """
+    given = {name: value for name, value in options.items() if value is not None}
+
+    def typed(name: str) -> str:
+        return f"--{name.replace('_', '-')}" if name in given else _variable(model, name)
+
     try:
-        return model(**{name: value for name, value in options.items() if value is not None})
+        return model(**given)
     except ValidationError as error:
-        raise ParameterError(problem_of_fields(error.errors()).detail) from error
+        found = [{**each, "loc": (typed(str(each["loc"][0])),)} for each in error.errors()]
+        raise ParameterError(problem_of_fields(found).detail) from error
 
 
 def about(model: type[BaseModel], name: str) -> str:
     """What the command line says of a setting: the settings' own words, the variable and the default."""
     setting = model.model_fields[name]
-    variable = f"{model.model_config.get('env_prefix', '')}{name}".upper()
-    return f"{setting.description} ({variable}, {setting.default})"
+    return f"{setting.description} ({_variable(model, name)}, {setting.default})"
+
+
+def _variable(model: type[BaseModel], name: str) -> str:
+    return f"{model.model_config.get('env_prefix', '')}{name}".upper()
 
 
 def run(command: Callable[[], object]) -> None:

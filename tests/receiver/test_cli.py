@@ -54,7 +54,13 @@ def test_a_bad_channel(run: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "word"), [(("--port", "70000"), "port"), (("--seed", "-1"), "seed"), (("--host", ""), "host")]
+    ("arguments", "word"),
+    [
+        (("--port", "70000"), "--port: "),
+        (("--seed", "-1"), "--seed: "),
+        (("--host", ""), "--host: "),
+        (("--max-body-bytes", "1"), "--max-body-bytes: "),
+    ],
 )
 def test_settings_out_of_bounds(run: Run, tmp_path: Path, arguments: tuple[str, str], word: str) -> None:
     assert_one_line(run(*arguments, "--data", str(tmp_path)), word)
@@ -62,7 +68,13 @@ def test_settings_out_of_bounds(run: Run, tmp_path: Path, arguments: tuple[str, 
 
 def test_settings_come_from_the_environment_too(run: Run, tmp_path: Path) -> None:
     assert_one_line(run(RECEIVER_CHANNEL="thunder", RECEIVER_DATA=str(tmp_path)), "thunder")
-    assert_one_line(run(RECEIVER_TRAININGS="0", RECEIVER_DATA=str(tmp_path)), "trainings")
+    assert_one_line(run(RECEIVER_TRAININGS="0", RECEIVER_DATA=str(tmp_path)), "error: RECEIVER_TRAININGS: ")
+
+
+def test_what_is_wrong_is_named_as_it_was_given(run: Run, tmp_path: Path) -> None:
+    outcome = run("--port", "70000", "--data", str(tmp_path), RECEIVER_MAX_WAIT_SECONDS="abc", RECEIVER_PORT="8001")
+    assert_one_line(outcome, "--port: ", "RECEIVER_MAX_WAIT_SECONDS: ")
+    assert "RECEIVER_PORT" not in outcome[1]
 
 
 def test_an_address_of_another_machine(run: Run, tmp_path: Path) -> None:
