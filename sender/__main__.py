@@ -91,11 +91,11 @@ def send(
     channel: Annotated[
         str, typer.Option(help="Harm the packets on their way out, e.g. gaussian:std=0.1,axes=xyz;erasure:p=0.05")
     ] = "",
-    channel_seed: Annotated[int, typer.Option(help="Seed of the channel.")] = 0,
+    channel_seed: Annotated[int | None, typer.Option(help="Seed of the channel. (that of the channel, else 0)")] = None,
     wait: Annotated[bool, typer.Option("--wait", help="Wait until the receiver has trained its network.")] = False,
 ) -> None:
     """Send a surface, or a file of points, to a receiver."""
-    harm = Channel.parse(channel, seed=channel_seed)
+    harm = Channel.from_json({"spec": channel} | ({} if channel_seed is None else {"seed": channel_seed}))
     wire = {
         "datagram": datagram,
         "precision": int(precision) if precision.isdecimal() else precision,

@@ -276,9 +276,9 @@ class ReceiverClient:
         except httpx.TransportError:
             return False
 
-    async def set_channel(self, spec: str, seed: int = 0) -> None:
-        """Put a channel in force at the receiver, where its settings allow that."""
-        await self._request("PUT", "/v1/channel", json={"spec": spec, "seed": seed})
+    async def set_channel(self, spec: str, seed: int | None = None) -> None:
+        """Put a channel in force at the receiver, where its settings allow that; a seed may also stand in `spec`."""
+        await self._request("PUT", "/v1/channel", json={"spec": spec} | ({} if seed is None else {"seed": seed}))
 
     async def delete(self, transmission: str) -> None:
         """Remove a surface and all that was received of it."""

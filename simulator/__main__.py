@@ -145,10 +145,11 @@ def channel(
     spec: Annotated[str, typer.Argument(help="The channel, for example gaussian:std=0.1,axes=xyz;erasure:p=0.05")],
     upstream: Annotated[str, typer.Option(help="URL of the server behind the channel.")] = "http://127.0.0.1:8001",
     port: Annotated[int, typer.Option(help="Port to listen on; 0 takes a free one.")] = 8002,
-    seed: Annotated[int, typer.Option(help="Seed of the channel.")] = 0,
+    seed: Annotated[int | None, typer.Option(help="Seed of the channel. (that of the channel, else 0)")] = None,
 ) -> None:
     """Put a channel between any client and any receiver; GET and PUT /v1/channel steer it."""
-    proxy = create_proxy(upstream, Channel.parse(spec, seed=seed))
+    harm = Channel.from_json({"spec": spec} | ({} if seed is None else {"seed": seed}))
+    proxy = create_proxy(upstream, harm)
     with listen("127.0.0.1", port) as listener:
         console.print(f"channel   {url_of(listener)}", highlight=False, soft_wrap=True)
         console.print(f"upstream  {upstream}", highlight=False, soft_wrap=True)

@@ -40,10 +40,16 @@ def parse_text(text: str) -> tuple[tuple[Impairment, ...], int | None]:
     seed: int | None = None
     for part in filter(None, map(str.strip, text.split(";"))):
         if part.startswith("seed="):
-            seed = check_seed(part.removeprefix("seed="))
+            seed = _one_seed(seed, check_seed(part.removeprefix("seed=")))
         else:
             impairments.extend(_parse_part(part))
     return check_impairments(impairments), seed
+
+
+def _one_seed(before: int | None, seed: int) -> int:
+    if before not in (None, seed):
+        raise ChannelError(f"the channel has two seeds, {before} and {seed}; give one")
+    return seed
 
 
 def _parse_part(part: str) -> tuple[Impairment, ...]:
@@ -135,7 +141,7 @@ def parse_json(document: object) -> tuple[tuple[Impairment, ...], int | None]:
         if not isinstance(document["spec"], str):
             raise ChannelError("spec must be a short string, such as gaussian:std=0.1;erasure:p=0.05")
         impairments, seed = parse_text(document["spec"])
-        return impairments, given if seed is None else seed
+        return impairments, given if seed is None else _one_seed(given, seed)
     parts = document.get("impairments", [])
     if not isinstance(parts, list) or len(parts) > MAX_IMPAIRMENTS:
         raise ChannelError(f"impairments must be a list of at most {MAX_IMPAIRMENTS}")

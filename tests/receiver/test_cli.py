@@ -9,6 +9,8 @@ from typing import TypeAlias
 import pytest
 
 from receiver.__main__ import main
+from receiver.app import create_app
+from receiver.settings import Settings
 
 Run: TypeAlias = Callable[..., tuple[int, str]]
 
@@ -69,6 +71,13 @@ def test_settings_out_of_bounds(run: Run, tmp_path: Path, arguments: tuple[str, 
 def test_settings_come_from_the_environment_too(run: Run, tmp_path: Path) -> None:
     assert_one_line(run(RECEIVER_CHANNEL="thunder", RECEIVER_DATA=str(tmp_path)), "thunder")
     assert_one_line(run(RECEIVER_TRAININGS="0", RECEIVER_DATA=str(tmp_path)), "error: RECEIVER_TRAININGS: ")
+
+
+def test_a_seed_beside_another_one(run: Run, tmp_path: Path) -> None:
+    assert create_app(Settings(channel="erasure:p=0.1;seed=5")).state.channel.seed == 5
+    assert create_app(Settings(channel="erasure:p=0.1", seed=5)).state.channel.seed == 5
+    outcome = run("--channel", "erasure:p=0.1;seed=5", "--data", str(tmp_path), RECEIVER_SEED="0")
+    assert_one_line(outcome, "two seeds, 0 and 5; give one")
 
 
 def test_what_is_wrong_is_named_as_it_was_given(run: Run, tmp_path: Path) -> None:

@@ -42,7 +42,7 @@ def test_the_seed_in_the_text_goes_before_the_default() -> None:
     assert Channel.parse("erasure:p=0.1;seed=0", seed=4).seed == 0
     assert Channel.from_json({"seed": 6}, seed=4).seed == 6
     assert Channel.from_json({"spec": "erasure:p=0.1", "seed": 6}) == Channel.parse("erasure:p=0.1;seed=6")
-    assert Channel.from_json({"spec": "erasure:p=0.1;seed=5", "seed": 6}).seed == 5
+    assert Channel.from_json({"spec": "erasure:p=0.1;seed=5", "seed": 5}).seed == 5
 
 
 def test_equal_channels_are_equal_however_they_are_made() -> None:
@@ -72,6 +72,7 @@ WRONG = [
     ("seed=-1", "0 to 2"),
     ("seed=x", "0 to 2"),
     (f"seed={2**64}", "0 to 2"),
+    ("seed=1;seed=2", "two seeds, 1 and 2; give one"),
     ("rayleigh:ebn0_db=3,coherence=0", "coherence"),
     (";".join(["erasure:p=0.1"] * (MAX_IMPAIRMENTS + 1)), "at most"),
     (" " * (MAX_TEXT + 1), "characters"),
@@ -101,6 +102,7 @@ def test_what_is_wrong_is_named_and_what_is_accepted_is_said(text: str, message:
         ({"impairments": [{"kind": "erasure", "q": 1}]}, "'q'"),
         ({"seed": 1.5}, "seed"),
         ({"seed": True}, "seed"),
+        ({"spec": "erasure:p=0.1;seed=5", "seed": 6}, "two seeds, 6 and 5; give one"),
         ({"spec": 3}, "spec must be a short string"),
         ({"spec": "clean", "impairments": []}, "short string"),
     ],
