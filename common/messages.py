@@ -2,9 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Literal, TypeAlias
+import re
+from typing import Annotated, Literal, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Field, computed_field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, WithJsonSchema, computed_field
+
+_ID = r"[A-Za-z0-9._-]{1,64}"
+
+
+def _check_id(name: str) -> str:
+    if re.fullmatch(_ID, name) is None:
+        raise ValueError(
+            "expected 1 to 64 characters: letters from A to Z and a to z, digits, dots, underlines, hyphens"
+        )
+    return name
+
+
+SurfaceId: TypeAlias = Annotated[
+    str, AfterValidator(_check_id), WithJsonSchema({"type": "string", "pattern": f"^{_ID}$"})
+]
+"""Of a surface at the receiver, and of the transmissions that bring it."""
 
 State: TypeAlias = Literal["receiving", "training", "ready", "failed"]
 

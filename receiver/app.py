@@ -22,6 +22,7 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from common.channel import Channel
 from common.channel.carrying import FAULTS_HEADER
 from common.errors import ForbiddenError, MediaTypeError, NotFoundError, NotReadyError, ParameterError
+from common.messages import SurfaceId
 from common.network.model import NetworkSettings, SurfaceModel
 from common.problems import MEDIA_TYPE as PROBLEM_TYPE
 from common.problems import Problem
@@ -75,10 +76,9 @@ def _settings(request: Request) -> Settings:
 Here = Annotated[Surfaces, Depends(_surfaces)]
 Configured = Annotated[Settings, Depends(_settings)]
 Id = Annotated[
-    str,
+    SurfaceId,
     Path(
         alias="id",
-        pattern=r"^[A-Za-z0-9._-]{1,64}$",
         description="Of the surface: 1 to 64 letters, digits, dots, underlines, hyphens.",
         examples=["hills"],
     ),

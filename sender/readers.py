@@ -116,6 +116,18 @@ def _check_count(count: int, name: str, most: int | None) -> None:
         raise LimitError(f"{name} holds {count} points; at most {most} are accepted")
 
 
+def bare_name(name: str) -> str:
+    """The name of a file without its folder and the endings that are understood.
+
+    >>> bare_name("data/hills.CSV.xz"), bare_name("hills.2024.npy"), bare_name("hills")
+    ('hills', 'hills.2024', 'hills')
+    """
+    bare = Path(name)
+    for endings in (UNPACKERS, FORMATS):
+        bare = bare.with_suffix("") if bare.suffix.lower() in endings else bare
+    return bare.name
+
+
 def _unpacked(data: bytes, name: str) -> tuple[bytes, str]:
     suffix = Path(name).suffix.lower()
     if suffix in UNPACKERS:

@@ -5,21 +5,19 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, TypeAlias
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from common.errors import ParameterError
+from common.messages import SurfaceId
 from common.network.model import NetworkSettings
 from common.surface import FeatureSet, FloatArray, Region, Unit, Units
 from common.wire import Cost, WireOptions, encode_with_cost
 from sender.client import ReceiverClient, Sent
 from sender.features import Extracted, Repeated, extract_features
+from sender.readers import bare_name
 from sender.surfaces import find_surface
-
-TransmissionId: TypeAlias = Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,64}$", examples=["surface-1"])]
 
 
 class Order(BaseModel):
@@ -28,7 +26,9 @@ class Order(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     surface: str | None = Field(None, description="A surface by name (see GET /v1/surfaces); none for an upload.")
-    id: TransmissionId | None = Field(None, description="Id at the receiver; by default the name of the surface.")
+    id: SurfaceId | None = Field(
+        None, examples=["surface-1"], description="Id at the receiver; by default the name of the surface or the file."
+    )
     points: int | None = Field(None, ge=1, description="Points of the cloud; by default as many as is usual for it.")
     seed: int = Field(0, ge=0, description="Seed the cloud is drawn from.")
     gap: float | None = Field(None, gt=0, description="Segment gap, in the units of x and y.")
@@ -98,8 +98,8 @@ def prepare(order: Order, upload: tuple[str, Callable[[], FloatArray]] | None = 
 
 
 def transmission_id(name: str) -> str:
-    """An id made of a surface's or a file's name: letters, digits, ".", "_" and "-" stay."""
-    return re.sub(r"[^A-Za-z0-9._-]+", "-", Path(name).stem if "." in name else name)[:64].strip("-.") or "surface"
+    """An id made of a surface's or a file's name without its endings: letters, digits, ".", "_" and "-" stay."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", bare_name(name))[:64].strip("-.") or "surface"
 
 
 async def deliver(prepared: Prepared, order: Order, client: ReceiverClient) -> Sent:

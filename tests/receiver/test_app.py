@@ -9,6 +9,7 @@ import re
 import threading
 from collections.abc import Callable
 from typing import Any
+from urllib.parse import quote
 
 import anyio
 import httpx
@@ -535,6 +536,13 @@ async def test_health_and_metrics(client: Client, features: FeatureSet) -> None:
     assert 'receiver_trainings_total{outcome="ready"} 1.0' in text
     assert "receiver_surfaces 1.0" in text
     assert 'route="/v1/transmissions/{id}",status="202"' in text
+
+
+@pytest.mark.parametrize("name", ["a b", "a" * 65, "hills\n", "höhen"])
+async def test_a_surface_id_that_is_none_is_told_what_is_accepted_in_words(client: Client, name: str) -> None:
+    for answer in (await client.get(f"/v1/surfaces/{quote(name)}"), await client.transmit(quote(name), b"")):
+        problem = assert_problem(answer, 422, "id: expected 1 to 64 characters: letters from A to Z and a to z, digits")
+        assert "[" not in problem["detail"]
 
 
 async def test_errors_of_routing_are_problems(client: Client) -> None:

@@ -159,7 +159,7 @@ def test_a_receiver_that_is_down_is_a_failed_transmission_not_a_lost_one() -> No
         ({"json": {"surface": "surface-1", "gap": 5}}, 422, "larger than the region"),
         ({"json": {"surface": "surface-1", "gap": 1e-6}}, 422, "pieces"),
         ({"json": {"surface": "surface-1", "colour": "red"}}, 422, "colour: Extra inputs"),
-        ({"json": {"surface": "surface-1", "id": "a/b"}}, 422, "id: String should match"),
+        ({"json": {"surface": "surface-1", "id": "a/b"}}, 422, "id: expected 1 to 64 characters: letters"),
         ({"json": {"surface": "surface-1", "points": 2}}, 422, "at least 3"),
         ({"json": {"surface": "surface-1", "points": 10**9}}, 413, "at most"),
         ({"json": {"surface": "surface-1", "wire": {"datagram": 1}}}, 422, "wire.datagram"),

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from common.errors import FileFormatError, LimitError, PointsError, SurfacelinkError
 from sender.readers import parse_points, read_points
+from sender.transmission import transmission_id
 
 POINTS = np.array([[0.0, 1.0, 2.5], [3.0, 4.0, -5.0]])
 TEXT = b"x,y,z\n0,1,2.5\n3,4,-5\n"
@@ -130,3 +131,19 @@ def test_any_bytes_are_points_or_our_error(data: bytes, name: str) -> None:
     except SurfacelinkError:
         return
     assert points.shape[1] == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "made"),
+    [
+        ("california_gps.csv.xz", "california_gps"),
+        ("data/hills.CSV.gz", "hills"),
+        ("hills.npy", "hills"),
+        ("hills.2024.xyz", "hills.2024"),
+        ("my field.csv", "my-field"),
+        (".csv.xz", "csv"),
+        ("surface-1", "surface-1"),
+    ],
+)
+def test_the_id_of_a_file_is_its_name_without_the_endings_that_are_understood(name: str, made: str) -> None:
+    assert transmission_id(name) == made
