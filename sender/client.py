@@ -42,6 +42,20 @@ RETRY_STATUS = frozenset({408, 429, 502, 503, 504})
 """Answers that a later try may change (RFC 9110, sections 15.5 and 15.6)."""
 
 
+def server_url(url: str, whose: str) -> httpx.URL:
+    """The address of an HTTP server; raises ParameterError, which says `whose` it should be, for anything else."""
+    told = f"{url!r} is not {whose} URL"
+    try:
+        parsed = httpx.URL(url)
+    except httpx.InvalidURL as error:
+        raise ParameterError(f"{told}: {error}") from error
+    if parsed.scheme not in ("http", "https") or not parsed.host or parsed.query or parsed.fragment:
+        raise ParameterError(f"{told}; accepted is for example http://127.0.0.1:8001")
+    if parsed.port is not None and not 1 <= parsed.port <= 65535:
+        raise ParameterError(f"{told}; its port must be 1 to 65535")
+    return parsed
+
+
 @dataclass(frozen=True)
 class RetryPolicy:
     """Exponential backoff with jitter.
@@ -114,16 +128,9 @@ class ReceiverClient:
     @classmethod
     def connect(cls, url: str, transport: httpx.AsyncBaseTransport | None = None) -> ReceiverClient:
         """A client for the receiver at `url`; raises ParameterError for what is no http(s) URL."""
-        try:
-            parsed = httpx.URL(url)
-        except httpx.InvalidURL as error:
-            raise ParameterError(f"{url!r} is not a URL: {error}") from error
-        if parsed.scheme not in ("http", "https") or not parsed.host:
-            raise ParameterError(f"{url!r} is not a receiver's URL; accepted is for example http://127.0.0.1:8001")
-        if parsed.port is not None and not 1 <= parsed.port <= 65535:
-            raise ParameterError(f"{url!r} is not a receiver's URL; its port must be 1 to 65535")
         timeout = httpx.Timeout(READ_TIMEOUT, connect=CONNECT_TIMEOUT)
-        return cls(httpx.AsyncClient(base_url=parsed, timeout=timeout, transport=transport))
+        base = server_url(url, "a receiver's")
+        return cls(httpx.AsyncClient(base_url=base, timeout=timeout, transport=transport))
 
     async def __aenter__(self) -> ReceiverClient:
         await self.http.__aenter__()

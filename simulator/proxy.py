@@ -20,12 +20,13 @@ from starlette.routing import Route
 
 from common.channel import Channel
 from common.channel.carrying import FAULTS_HEADER
-from common.errors import ChannelError, LinkError, ParameterError, SurfacelinkError
+from common.errors import ChannelError, LinkError, SurfacelinkError
 from common.problems import problem_of
 from common.wire.limits import MAX_BODY
 from receiver.limits import limited
 from receiver.middleware import FAULTS, ChannelMiddleware, Sleep
 from receiver.problems import respond
+from sender.client import server_url
 
 TIMEOUT = httpx.Timeout(connect=5.0, write=60.0, pool=60.0, read=None)
 """Seconds. Reading has no limit: a stream of events may be silent for as long as it likes."""
@@ -75,7 +76,7 @@ def create_proxy(
     ParameterError
         If `upstream` is not the address of an HTTP server.
     """
-    base = _address(upstream)
+    base = server_url(upstream, "an upstream")
 
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
@@ -111,18 +112,6 @@ def create_proxy(
     )
     app.state.channel = channel
     return app
-
-
-def _address(upstream: str) -> httpx.URL:
-    try:
-        url = httpx.URL(upstream)
-    except httpx.InvalidURL as error:
-        raise ParameterError(f"upstream {upstream!r} is no address: {error}") from error
-    if url.scheme not in ("http", "https") or not url.host or url.query or url.fragment:
-        raise ParameterError(f"upstream must be of the form http://host:port, got {upstream!r}")
-    if url.port is not None and not 1 <= url.port <= 65535:
-        raise ParameterError(f"the port of upstream must be 1 to 65535, got {upstream!r}")
-    return url
 
 
 def _target(base: httpx.URL, request: Request) -> bytes:

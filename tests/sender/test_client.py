@@ -251,7 +251,9 @@ def test_waiting_ends_with_ready_with_failure_or_with_the_time() -> None:
         states("training", "training").run(lambda client: client.wait_ready("a", timeout=0.2))
 
 
-@pytest.mark.parametrize("url", ["ftp://x", "localhost:8001", "", "http://", "http://a:b"])
+@pytest.mark.parametrize(
+    "url", ["ftp://x", "localhost:8001", "", "http://", "http://a:b", "http://a?b=1", "http://a#b", "http://a:99999"]
+)
 def test_a_url_that_is_none_is_refused(url: str) -> None:
     with pytest.raises(ParameterError, match="URL"):
         ReceiverClient.connect(url)
