@@ -15,7 +15,15 @@ from weakref import WeakValueDictionary
 import anyio
 from anyio.to_thread import run_sync as run_in_thread
 
-from common.errors import ConflictError, NotReadyError, PacketError, StoreError, SurfacelinkError, WireError
+from common.errors import (
+    ConflictError,
+    NotReadyError,
+    PacketError,
+    StoreError,
+    SurfacelinkError,
+    VersionError,
+    WireError,
+)
 from common.messages import Delivery, PacketCounts, PacketsNamed
 from common.network.model import NetworkSettings, SurfaceModel
 from common.problems import problem_of
@@ -68,6 +76,16 @@ class StillTraining(NotReadyError):  # noqa: N818 - a state that passes, not a f
 
     def __init__(self, name: str) -> None:
         super().__init__(f"{name} is being trained; ask again, or add ?wait=60 to wait for it")
+
+
+class WrittenByNewer(StoreError):  # noqa: N818 - what is kept is sound
+    """What is kept of the surface is written in a way that only a newer surfacelink reads."""
+
+    def __init__(self, name: str, error: VersionError) -> None:
+        super().__init__(
+            f"what is kept of {name} needs a newer surfacelink ({error}): start that, or remove the surface "
+            f"(DELETE /v1/surfaces/{name}) and send it again"
+        )
 
 
 class Surfaces:
@@ -142,6 +160,8 @@ class Surfaces:
             If its packets belong to another transmission, or to other features under the same name.
         LimitError
             If it holds more than the wire's limits allow.
+        StoreError
+            If it cannot be stored, or what is kept of the surface not be read.
         """
         async with self._lock(name):
             try:
@@ -226,7 +246,11 @@ class Surfaces:
             reassembly = Reassembly(name)
             for arrival in self.store.arrivals(rows.n):
                 decoder = PacketDecoder()
-                for packet in (*decoder.feed(arrival), *decoder.close()):
+                try:
+                    packets = [*decoder.feed(arrival), *decoder.close()]
+                except VersionError as error:
+                    raise WrittenByNewer(name, error) from error
+                for packet in packets:
                     reassembly.add(packet)
         return rows, reassembly
 
@@ -254,6 +278,8 @@ class Surfaces:
                 logger.exception("training of %s could not be resumed", name)
                 if row is not None:
                     failure = StoreError(f"what was kept of {name} cannot be read: {error}; send its packets again")
+                    if isinstance(error, WrittenByNewer):
+                        failure = error
                     self._unkept[row.n, row.revision] = problem_of(failure).model_dump(exclude_none=True)
                     self.changes.publish(name)
 

@@ -288,3 +288,23 @@ async def test_kept_packets_that_are_harmed_fail_until_the_next_start(
     write(kept)
     async with running() as client:
         assert (await client.get("/v1/surfaces/hills?wait=60")).json()["state"] == "ready"
+
+
+async def test_packets_that_a_newer_version_kept_are_said_to_be_that(
+    running: Running, features: FeatureSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    packets = packets_of(features, "hills")
+    with monkeypatch.context() as newer:
+        newer.setattr("common.wire.header.VERSION", 2)
+        async with running(train=stuck) as client:
+            assert (await client.transmit("hills", packets_of(features, "hills")[0])).status_code == 202
+    told = "what is kept of hills needs a newer surfacelink (a packet is of version 2; this end reads version 1): start"
+    async with running() as client:
+        surface = (await client.get("/v1/surfaces/hills?wait=60")).json()
+        assert surface["state"] == "failed"
+        assert surface["error"]["detail"].startswith(told)
+        for answer in (await client.transmit("hills", packets[1]), await client.get("/v1/surfaces/hills/features")):
+            assert answer.status_code == 503
+            assert answer.json()["detail"] == surface["error"]["detail"]
+        assert (await client.delete("/v1/surfaces/hills")).status_code == 204
+        assert (await client.transmit("hills", packets[1])).status_code == 202
