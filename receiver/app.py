@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequence
 from contextlib import asynccontextmanager
 from functools import partial
 from hashlib import sha256
@@ -86,12 +86,16 @@ Id = Annotated[
 Wait = Annotated[
     float, Query(ge=0, allow_inf_nan=False, description="Seconds to wait until the surface is ready or failed.")
 ]
-GridForm = Annotated[
-    str | None, Query(alias="f", description=f"One of {', '.join(f.name for f in GRID_FORMATS)}; before Accept.")
-]
-TableForm = Annotated[
-    str | None, Query(alias="f", description=f"One of {', '.join(f.name for f in TABLE_FORMATS)}; before Accept.")
-]
+
+
+def _forms(formats: Sequence[Format[Content]]) -> Any:
+    """What ?f= may be, as OpenAPI tells it: of `formats`, those that what is installed here can write."""
+    names = [form.name for form in formats if form.available]
+    return Query(alias="f", description="Form of the answer; before Accept.", json_schema_extra={"enum": names})
+
+
+GridForm = Annotated[str | None, _forms(GRID_FORMATS)]
+TableForm = Annotated[str | None, _forms(TABLE_FORMATS)]
 Accept = Annotated[str | None, Header(description="Media types, with q where some are preferred.")]
 
 
@@ -111,7 +115,7 @@ def _offers(formats: Iterable[Format[Content]], description: str) -> dict[int | 
     return {
         200: {
             "description": description,
-            "content": {form.media_type: texts.get(form.media_type, binary) for form in formats},
+            "content": {form.media_type: texts.get(form.media_type, binary) for form in formats if form.available},
         }
     }
 

@@ -6,6 +6,8 @@ import io
 import itertools
 import json
 import re
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -601,6 +603,21 @@ async def test_the_openapi_document_is_complete(client: Client) -> None:
                     assert list(answer["content"]) == ["application/problem+json"], (method, path, status)
     grid = document["paths"]["/v1/surfaces/{id}/grid"]["get"]
     assert "image/png" in grid["responses"]["200"]["content"]
+
+
+def test_the_openapi_document_offers_only_what_is_installed() -> None:
+    script = """if True:
+        import sys
+        sys.modules["tifffile"] = None
+        from receiver.app import create_app
+        call = create_app().openapi()["paths"]["/v1/surfaces/{id}/grid"]["get"]
+        print(*next(p["schema"]["enum"] for p in call["parameters"] if p["name"] == "f"))
+        print(*call["responses"]["200"]["content"])
+    """
+    forms, types = subprocess.check_output([sys.executable, "-c", script], text=True).splitlines()
+    assert forms.split() == ["json", "csv", "npy", "npz", "msgpack", "png"]
+    assert "image/png" in types
+    assert "image/tiff" not in types
 
 
 async def test_the_event_loop_turns_while_a_large_training_runs(client: Client) -> None:
