@@ -27,6 +27,7 @@ from simulator.pictures import write_pictures
 from simulator.proxy import create_proxy
 from simulator.rivals import rivals_command
 from simulator.services import Services, running
+from simulator.sweep import HELP as SWEEP_HELP
 from simulator.sweep import sweep_command
 
 app = typer.Typer(
@@ -136,7 +137,7 @@ def _leave_running(services: Services, exhibits: list[Exhibit]) -> None:
 
 
 app.command("paper")(paper_command)
-app.command("sweep")(sweep_command)
+app.command("sweep", help=SWEEP_HELP)(sweep_command)
 app.command("rivals")(rivals_command)
 
 

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import platform
+import re
 import shlex
 import sys
 from collections.abc import Callable, Mapping
@@ -21,11 +22,14 @@ from rich.console import Console
 import common
 import sender
 import simulator
+from common.errors import ParameterError
 from common.extras import is_installed
 from sender.surfaces import names_file
 from simulator import report
+from simulator.baselines import BASELINES
 from simulator.campaign import Campaign
 from simulator.folder import make_folder
+from simulator.methods import NETWORK
 from simulator.progress import progress_bar
 from simulator.runner import Journal, Progress, Result, Row, Run, silent
 from simulator.table import to_csv, write_parquet
@@ -124,9 +128,17 @@ def plan_of_options(
     if given:
         plan["features"] = [given]
     if grid is not None:
-        plan["grid"] = grid.replace("x", ",").split(",")
+        plan["grid"] = _sides(grid)
     scalars = {"channels": channel or None, "methods": method or None, "seeds": seeds, "seed": seed, "rounds": rounds}
     return plan | {key: value for key, value in scalars.items() if value is not None}
+
+
+def _sides(text: str) -> tuple[int, int]:
+    """Rows and columns of "64x48", "64,48", or "64" for both; raises ParameterError where it is none of them."""
+    found = re.fullmatch(r"(\d{1,9})(?:[x,](\d{1,9}))?", text)
+    if found is None:
+        raise ParameterError(f"--grid is rows x columns, for example 64x48, or one number for both; got {text!r}")
+    return int(found[1]), int(found[2] or found[1])
 
 
 DEFAULT_PLAN: Mapping[str, Any] = {
@@ -136,27 +148,61 @@ DEFAULT_PLAN: Mapping[str, Any] = {
 }
 """What `simulate sweep` without a file tries, where no option says otherwise."""
 
+HELP = (
+    "Run a campaign: surfaces x features x channels x methods x seeds; run again to go on where it stopped.\n\n"
+    "Without a file the options are the campaign, with 10 samples of each surface; where they are silent it is "
+    + "; ".join(f"{key} {', '.join(values)}" for key, values in DEFAULT_PLAN.items())
+    + ". The keys of a file, and campaigns to begin from, are in docs/campaigns of the repository."
+)
+
 
 def sweep_command(
-    campaign: Annotated[Path | None, typer.Argument(help="TOML file; options below go before what it says.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder of journal, table and report; by default the name.")] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes; by default one a core.")] = None,
-    surface: Annotated[list[str] | None, typer.Option(help="Name of a surface, or a file; may be repeated.")] = None,
-    channel: Annotated[list[str] | None, typer.Option(help="A channel in short form; may be repeated.")] = None,
-    method: Annotated[list[str] | None, typer.Option(help="A reconstruction; may be repeated.")] = None,
-    points: Annotated[int | None, typer.Option(help="Points of the cloud.")] = None,
-    gap: Annotated[float | None, typer.Option(help="Segment gap.")] = None,
-    pieces: Annotated[int | None, typer.Option(help="Pieces along the longer side.")] = None,
-    budget: Annotated[int | None, typer.Option(help="Bytes; the finest pieces that fit.")] = None,
+    campaign: Annotated[
+        Path | None, typer.Argument(metavar="FILE", help="Campaign in TOML; what options say goes before it.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of journal, table and report; by default the campaign's name.")
+    ] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Worker processes; by default one a core.")] = None,
+    surface: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME|FILE", help="A surface (`sender surfaces` lists them), or points; may be repeated."),
+    ] = None,
+    channel: Annotated[
+        list[str] | None,
+        typer.Option(metavar="SPEC", help='A channel, for example "gaussian:std=0.1;erasure:p=0.05"; may be repeated.'),
+    ] = None,
+    method: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME", help=f"One of {', '.join(dict.fromkeys((NETWORK, *BASELINES)))}; may be repeated."
+        ),
+    ] = None,
+    points: Annotated[int | None, typer.Option(help="Points of the cloud that features are chosen from.")] = None,
+    gap: Annotated[float | None, typer.Option(help="Segment gap, in the units of x and y.")] = None,
+    pieces: Annotated[int | None, typer.Option(help="Instead of --gap: pieces along the longer side.")] = None,
+    budget: Annotated[
+        int | None, typer.Option(help="Instead of --gap: bytes to send; the finest pieces that fit are taken.")
+    ] = None,
     seeds: Annotated[int | None, typer.Option(help="Samples of each surface.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of the campaign.")] = None,
-    grid: Annotated[str | None, typer.Option(help="Grid of the comparison, for example 64x64.")] = None,
-    rounds: Annotated[int | None, typer.Option(help="Transmissions of what is missing, the first included.")] = None,
-    transport: Annotated[Way, typer.Option(help="direct in process; asgi or http through the receiver.")] = Way.DIRECT,
+    seed: Annotated[int | None, typer.Option(help="Seed that every random draw follows from.")] = None,
+    grid: Annotated[
+        str | None,
+        typer.Option(metavar="ROWSxCOLUMNS", help="Grid that is compared on, for example 64x48; 64 means 64x64."),
+    ] = None,
+    rounds: Annotated[
+        int | None, typer.Option(help="How often to send, the first time included; later only what is missing.")
+    ] = None,
+    transport: Annotated[
+        Way,
+        typer.Option(
+            help="direct: in process; asgi: through the receiver's HTTP interface in process; http: over sockets."
+        ),
+    ] = Way.DIRECT,
     times: Annotated[bool, typer.Option(help="Plot the times of the reconstructions, too.")] = True,
-    fresh: Annotated[bool, typer.Option("--fresh", help="Forget what had finished.")] = False,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Start anew, and forget what had finished.")] = False,
 ) -> None:
-    """Run a campaign: surfaces x features x channels x methods x seeds; run again to go on where it stopped."""
+    # The help is HELP, which names the plan that is the default.
     overrides = plan_of_options(
         surface=surface,
         channel=channel,

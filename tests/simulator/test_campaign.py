@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import csv
+import re
 import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from common.errors import MissingExtraError, ParameterError, PointsError
 from common.surface import Region
 from common.wire import WireOptions
 from sender.features import extract_features
+from simulator.__main__ import app
 from simulator.campaign import Campaign, FeatureSettings, Trial
 from simulator.choice import choose_features
 from simulator.runner import Cell, Run
-from simulator.sweep import code_digest, plan_of_options, run_campaign, sweep_command
+from simulator.sweep import DEFAULT_PLAN, code_digest, plan_of_options, run_campaign, sweep_command
 from simulator.table import COLUMNS, to_csv, write_parquet
 from simulator.trial import run_trial
 
@@ -349,6 +352,23 @@ def test_options_go_before_the_file(tmp_path: Path) -> None:
     assert plan.surfaces[0].name == "surface-1"
     assert plan.features[0].gap == 0.5
     assert plan.channels[0].spec == "clean"
+
+
+@pytest.mark.parametrize(("text", "grid"), [("64", (64, 64)), ("64x48", (64, 48)), ("64,48", (64, 48))])
+def test_a_grid_is_rows_and_columns_or_one_number_for_both(text: str, grid: tuple[int, int]) -> None:
+    assert campaign(**options_of(grid=text)).grid == grid
+
+
+@pytest.mark.parametrize("text", ["", "64x", "axb", "64x64x3", "-2x4"])
+def test_a_grid_that_is_none_is_told_what_one_is(text: str) -> None:
+    with pytest.raises(ParameterError, match="--grid is rows x columns, for example 64x48"):
+        options_of(grid=text)
+
+
+def test_the_help_names_the_campaign_that_runs_without_a_file() -> None:
+    words = " ".join(re.sub("[│╭╰─]", " ", CliRunner().invoke(app, ["sweep", "--help"]).output).split())
+    for key, values in DEFAULT_PLAN.items():
+        assert f"{key} {', '.join(values)}" in words
 
 
 def test_a_folder_that_cannot_be_made_is_our_error(tmp_path: Path) -> None:
