@@ -433,8 +433,8 @@ TABLES: dict[str, Callable[[int], None]] = {
 def main() -> None:
     """Print the tables that were asked for, by default all."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.accuracy", description=__doc__.splitlines()[0])
-    parser.add_argument("--table", nargs="*", choices=list(TABLES), default=list(TABLES))
-    parser.add_argument("--seeds", type=int, default=12)
+    parser.add_argument("--table", nargs="*", choices=list(TABLES), default=list(TABLES), help="all by default")
+    parser.add_argument("--seeds", type=int, default=12, help="random samples of each surface (%(default)s)")
     options = parser.parse_args()
     for name in options.table:
         TABLES[name](options.seeds)

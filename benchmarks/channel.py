@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 import time
 
@@ -98,6 +99,9 @@ def speed(console: Console) -> None:
 
 def main() -> None:
     """Print the three tables."""
+    argparse.ArgumentParser(
+        prog="python -m benchmarks.channel", description="The channel against theory, and how fast it is."
+    ).parse_args()
     console = Console()
     bit_errors(console)
     bursts(console)

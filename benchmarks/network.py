@@ -373,10 +373,12 @@ TABLES: dict[str, Callable[[int, int], Bars]] = {
 
 def main() -> None:
     """Run the tables that were asked for."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--table", action="append", choices=sorted(TABLES), help="all where it is left out")
-    parser.add_argument("--seeds", type=int, default=10, help="random samples of the small sizes")
-    parser.add_argument("--most", type=int, default=1_000_000, help="largest number of points")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.network", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--table", action="append", choices=sorted(TABLES), help="may be repeated; all by default")
+    parser.add_argument("--seeds", type=int, default=10, help="random samples of the small sizes (%(default)s)")
+    parser.add_argument("--most", type=int, default=1_000_000, help="largest number of points (%(default)s)")
     chosen = parser.parse_args()
     warnings.simplefilter("ignore", NetworkWarning)
     bars: list[Bar] = []

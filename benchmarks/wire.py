@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
 import tracemalloc
 from collections.abc import Callable, Sequence
@@ -228,8 +228,15 @@ SECTIONS: dict[str, Callable[[Console], None]] = {
 
 def main() -> None:
     """Run the sections named on the command line, or all."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.wire", description="Bytes, speed and safety of the wire."
+    )
+    parser.add_argument("section", nargs="*", help=f"of {', '.join(SECTIONS)}; all by default")
+    sections = parser.parse_args().section or list(SECTIONS)
+    if not SECTIONS.keys() >= set(sections):
+        parser.error(f"a section is one of {', '.join(SECTIONS)}")
     console = Console()
-    for name in sys.argv[1:] or SECTIONS:
+    for name in sections:
         SECTIONS[name](console)
 
 

@@ -23,7 +23,7 @@ from receiver.surfaces import Surfaces
 
 app = typer.Typer(
     name="receiver",
-    help="Takes a surface's packets in and grows the surface back.",
+    help="Take a surface's packets in and grow the surface back.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
@@ -73,7 +73,7 @@ def serve(
     max_body_bytes: Annotated[int | None, typer.Option(help=about(Settings, "max_body_bytes"))] = None,
     access_log: Annotated[bool, typer.Option(help="Whether each request is logged.")] = False,
 ) -> None:
-    """Serve until it is stopped. What is not given here is read from RECEIVER_... in the environment."""
+    """Run the service until it is stopped. What is not given here is read from RECEIVER_... in the environment."""
     given: dict[str, Any] = {
         "host": host,
         "port": port,

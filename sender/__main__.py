@@ -48,7 +48,7 @@ def serve(
     port: Annotated[int | None, typer.Option(help=about(Settings, "port"))] = None,
     receiver: Annotated[str | None, typer.Option(help=about(Settings, "receiver"))] = None,
 ) -> None:
-    """Run the service. What is not given here is read from SENDER_... in the environment."""
+    """Run the service until it is stopped. What is not given here is read from SENDER_... in the environment."""
     settings = settings_from(Settings, {"host": host, "port": port, "receiver": receiver})
     ReceiverClient.connect(settings.receiver)
     with listen(settings.host, settings.port) as listener:
@@ -68,28 +68,56 @@ def surfaces() -> None:
 
 @app.command()
 def send(
-    what: Annotated[str, typer.Argument(metavar="NAME|FILE", help="A surface by name, or a file of points.")],
+    what: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME|FILE", help="A surface by name (`sender surfaces` lists them), or a file of points."
+        ),
+    ],
     receiver: Annotated[str, typer.Option(help="URL of the receiver.")] = DEFAULTS.receiver,
-    name: Annotated[str | None, typer.Option("--id", help="Id at the receiver. (the name)")] = None,
-    gap: Annotated[float | None, typer.Option(help="Segment gap, in the units of x and y. (as usual for it)")] = None,
-    points: Annotated[int | None, typer.Option(help="Points of the cloud. (as usual for it)")] = None,
+    name: Annotated[str | None, typer.Option("--id", help="Id at the receiver; by default the name.")] = None,
+    gap: Annotated[
+        float | None, typer.Option(help="Segment gap, in the units of x and y; by default the surface's own.")
+    ] = None,
+    points: Annotated[int | None, typer.Option(help="Points of the cloud; by default the surface's own.")] = None,
     kind: Annotated[
-        Extracted, typer.Option(help="Points to send: extrema of the pieces, a lattice, or the whole cloud.")
+        Extracted,
+        typer.Option(
+            help="Points to send: least and greatest z of each piece, a lattice of one point a piece, or all."
+        ),
     ] = "extrema",
     seed: Annotated[int, typer.Option(help="Seed the cloud is drawn from.")] = 0,
-    columns: Annotated[str | None, typer.Option(help="Columns of a text file: names or numbers of x,y,z.")] = None,
-    repeated: Annotated[Repeated, typer.Option(help="For positions with several heights.")] = "error",
-    xy_unit: Annotated[Unit, typer.Option(help="Unit of a file's xy.")] = "",
-    z_unit: Annotated[Unit, typer.Option(help="Unit of a file's z.")] = "",
-    rounds: Annotated[int, typer.Option(help="More than 1 sends again what the receipt calls missing.")] = 1,
+    columns: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,Z", help="Columns of a text file, by name or number, for example lon,lat,depth."),
+    ] = None,
+    repeated: Annotated[
+        Repeated,
+        typer.Option(help="What a position with several heights is: refused (error), or their mean, min or max."),
+    ] = "error",
+    xy_unit: Annotated[Unit, typer.Option(help="Unit of x and y in a file; none by default.")] = "",
+    z_unit: Annotated[Unit, typer.Option(help="Unit of z in a file; none by default.")] = "",
+    rounds: Annotated[
+        int, typer.Option(help="How often to send, the first time included; later only what the receiver misses.")
+    ] = 1,
     datagram: Annotated[int, typer.Option(help="Longest packet, in bytes.")] = WireOptions().datagram,
-    precision: Annotated[str, typer.Option(help="float64, float32, or bits an axis.")] = str(WireOptions().precision),
-    coding: Annotated[Literal["plain", "compact"], typer.Option(help="How points are packed.")] = WireOptions().coding,
-    parity: Annotated[float, typer.Option(help="Packets of parity as a share of those with points.")] = 0.0,
+    precision: Annotated[str, typer.Option(help="float64, float32, or how many bits a coordinate has.")] = str(
+        WireOptions().precision
+    ),
+    coding: Annotated[
+        Literal["plain", "compact"], typer.Option(help="How points are packed; compact takes fewer bytes.")
+    ] = WireOptions().coding,
+    parity: Annotated[
+        float, typer.Option(help="Packets that rebuild lost ones, as a share of those with points, for example 0.3.")
+    ] = 0.0,
     copies: Annotated[int, typer.Option(help="How often each packet is sent.")] = 1,
     inner: Annotated[int, typer.Option(help="Bytes of Reed-Solomon parity in each 255 of a packet; 0 for none.")] = 0,
     channel: Annotated[
-        str, typer.Option(help="Harm the packets on their way out, e.g. gaussian:std=0.1,axes=xyz;erasure:p=0.05")
+        str,
+        typer.Option(
+            metavar="SPEC",
+            help='Channel that harms the packets on their way, such as "gaussian:std=0.1,axes=xyz;erasure:p=0.05".',
+        ),
     ] = "",
     channel_seed: Annotated[int | None, typer.Option(help="Seed of the channel. (that of the channel, else 0)")] = None,
     wait: Annotated[bool, typer.Option("--wait", help="Wait until the receiver has trained its network.")] = False,

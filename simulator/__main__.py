@@ -46,7 +46,10 @@ def demo(
     out: Annotated[Path, typer.Option(help="Folder for the pictures and the services' logs.")] = Path(
         "surfacelink-demo"
     ),
-    surface: Annotated[list[str] | None, typer.Option(help="Send only this one; may be repeated.")] = None,
+    surface: Annotated[
+        list[str] | None,
+        typer.Option(help=f"Send only this one (by default {', '.join(DEMO_SURFACES)}); may be repeated."),
+    ] = None,
     serve: Annotated[bool, typer.Option("--serve", help="Leave both services running and print curl lines.")] = False,
 ) -> None:
     """Send four surfaces over real HTTP, clean and noisy; print a table, draw a picture of each."""
@@ -143,10 +146,14 @@ app.command("rivals")(rivals_command)
 
 @app.command()
 def channel(
-    spec: Annotated[str, typer.Argument(help="The channel, for example gaussian:std=0.1,axes=xyz;erasure:p=0.05")],
+    spec: Annotated[
+        str, typer.Argument(metavar="SPEC", help='The channel, for example "gaussian:std=0.1,axes=xyz;erasure:p=0.05".')
+    ],
     upstream: Annotated[str, typer.Option(help="URL of the server behind the channel.")] = "http://127.0.0.1:8001",
     port: Annotated[int, typer.Option(help="Port to listen on; 0 takes a free one.")] = 8002,
-    seed: Annotated[int | None, typer.Option(help="Seed of the channel. (that of the channel, else 0)")] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of the channel's random draws. (that of the channel, else 0)")
+    ] = None,
 ) -> None:
     """Put a channel between any client and any receiver; GET and PUT /v1/channel steer it."""
     harm = Channel.from_json({"spec": spec} | ({} if seed is None else {"seed": seed}))

@@ -546,8 +546,8 @@ def _write(path: Path, data: bytes) -> Path:
 
 def paper_command(
     out: Annotated[Path, typer.Option(help="Folder for the page and the pictures.")] = Path("surfacelink-paper"),
-    seeds: Annotated[int, typer.Option(min=1, help="Samples of each surface.")] = 20,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes; by default one a core.")] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="Samples of each surface; fewer are quicker.")] = 20,
+    workers: Annotated[int | None, typer.Option(min=1, help="Worker processes; by default one a core.")] = None,
 ) -> None:
     """Regenerate the paper's figures 2, 3 and 4, and the table of errors that it does not print."""
     console = Console(stderr=True)

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LightSource, Normalize, TwoSlopeNorm
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
 from common.metrics import nrmse
@@ -51,14 +52,14 @@ def relief(ax: Axes, grid: HeightGrid, z: FloatArray, norm: Normalize) -> None:
     if grid.z.size > SMOOTH_CELLS:
         return
     levels = MaxNLocator(9).tick_values(float(norm.vmin or 0), float(norm.vmax or 0))
-    ax.contour(grid.x, grid.y, z, levels=levels, colors="white", linewidths=0.5, alpha=0.55)
+    ax.contour(grid.x, grid.y, z, levels=levels, colors="white", linestyles="solid", linewidths=0.5, alpha=0.55)
 
 
 def exhibit_picture(exhibit: Exhibit) -> Figure:
     """Original, features and centres, network clean and noisy, traditional noisy, error map."""
     truth, surface = exhibit.truth, exhibit.surface
     norm = Normalize(float(truth.z.min()), float(truth.z.max()))
-    figure = Figure(figsize=(12.6, 8.6), layout="constrained", facecolor="white")
+    figure = Figure(figsize=(12.6, 8.6), layout=ConstrainedLayoutEngine(h_pad=0.07), facecolor="white")
     axes = figure.subplots(2, 3, sharex=True, sharey=True)
     figure.suptitle(f"{surface.name}:  {surface.title}", fontsize=15, fontweight="bold", color=INK)
 
@@ -95,11 +96,12 @@ def exhibit_picture(exhibit: Exhibit) -> Figure:
     unit = f" ({surface.units.z})" if surface.units.z else ""
     heights = figure.colorbar(ScalarMappable(norm, HEIGHTS), ax=axes[:, :2], shrink=0.5, pad=0.015, location="left")
     heights.set_label(f"height z{unit}")
-    figure.colorbar(shown, ax=axes[1, 2], shrink=0.8, pad=0.02, extend="both").set_label(f"error{unit}")
+    errors = figure.colorbar(shown, ax=axes[:, 2], shrink=0.4, anchor=(0.0, 0.04), pad=0.03, extend="both")
+    errors.set_label(f"error{unit}")
     for ax in axes.flat:
         ax.tick_params(labelsize=8, colors=INK)
-        ax.xaxis.set_major_locator(MaxNLocator(5))
-        ax.yaxis.set_major_locator(MaxNLocator(5))
+        ax.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
+        ax.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
     for ax in axes[1]:
         ax.set_xlabel(f"x{f' ({surface.units.xy})' if surface.units.xy else ''}")
     for ax in axes[:, 0]:

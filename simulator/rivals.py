@@ -406,8 +406,8 @@ def rivals_command(
     out: Annotated[Path, typer.Option(help="Folder for the table, the page and the pictures.")] = Path(
         "surfacelink-rivals"
     ),
-    seeds: Annotated[int, typer.Option(min=1, help="Seeds of each channel.")] = 20,
-    workers: Annotated[int, typer.Option(min=1, help="Child processes.")] = 2,
+    seeds: Annotated[int, typer.Option(min=1, help="Seeds of each channel; fewer are quicker.")] = 20,
+    workers: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
 ) -> None:
     """Send two fields as features and by raster codecs, at equal bytes, through bit errors and packet loss."""
     console = Console(stderr=True)
