@@ -11,7 +11,7 @@ import io
 import json
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from html import escape
@@ -579,12 +579,14 @@ def _tried(rows: Sequence[Row]) -> str:
     def distinct(name: str) -> list[str]:
         return list(dict.fromkeys(text(row, name) for row in rows))
 
-    channels = len({_place(row)[1:] for row in rows})
+    def count(things: Collection[object], word: str) -> str:
+        return f"{len(things)} {word}{'' if len(things) == 1 else 's'}"
+
     grids = " and ".join(f"{r} x {c}" for r, c in dict.fromkeys((row["rows"], row["columns"]) for row in rows))
-    plural = "channel" if channels == 1 else "channels"
+    channels = {_place(row)[1:] for row in rows}
     failures = sum(row["failure"] is not None for row in rows)
     return (
-        f"<p>{len(rows)} reconstructions: {', '.join(map(escape, distinct('surface')))}; {len(distinct('sample'))} "
-        f"samples of each; {channels} {plural}; {len(distinct('method'))} methods; on a grid of {grids}. "
-        f"{failures or 'None'} of them failed.</p>"
+        f"<p>{count(rows, 'reconstruction')}: {', '.join(map(escape, distinct('surface')))}; "
+        f"{count(distinct('sample'), 'sample')} of each; {count(channels, 'channel')}; "
+        f"{count(distinct('method'), 'method')}; on a grid of {grids}. {failures or 'None'} of them failed.</p>"
     )

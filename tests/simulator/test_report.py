@@ -72,6 +72,11 @@ def test_the_same_rows_give_the_same_page() -> None:
     assert report.render(rows(), WORDS) == report.render(rows(), WORDS)
 
 
+def test_one_of_a_kind_is_in_the_singular() -> None:
+    html = report.render([row(surface="hills", method="network")], WORDS)
+    assert "1 reconstruction: hills; 1 sample of each; 1 channel; 1 method; on a grid" in html
+
+
 def test_words_are_escaped() -> None:
     html = report.render(rows(), WORDS)
     assert "A &lt;title&gt;" in html
