@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import gzip
 import io
 import lzma
@@ -17,6 +16,7 @@ import numpy as np
 
 from common.errors import FileFormatError, LimitError
 from common.surface import FloatArray, as_points
+from sender.tables import Table, is_number
 
 FORMATS = (".csv", ".txt", ".xyz", ".npy")
 """Endings that are understood; the text formats also compressed, as .gz or .xz."""
@@ -145,43 +145,52 @@ def _parse_text(data: bytes, name: str, columns: Sequence[str] | None, most: int
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise FileFormatError(f"{name} is not text in UTF-8: {error.reason} at byte {error.start}") from error
-    lines = [line for line in (raw.partition("#")[0].strip() for raw in text.splitlines()) if line]
-    if not lines:
-        raise FileFormatError(f"{name} is empty; accepted is one point a line, three columns x, y, z")
-    delimiter = next((mark for mark in ",;\t" if mark in lines[0]), None)
-    names = _cells(lines[0], delimiter)
-    header = not all(_is_number(cell) for cell in names)
-    if header and len(lines) == 1:
-        raise FileFormatError(f"{name} holds a line of names and no point")
-    use = _columns(names, header, columns, name)
-    _check_count(len(lines) - header, name, most)
-    try:
-        return np.atleast_2d(
-            np.loadtxt(lines[1:] if header else lines, delimiter=delimiter, usecols=use, ndmin=2, dtype=np.float64)
-        )
-    except ValueError as error:
-        raise FileFormatError(f"{name} is not a table of numbers: {error}") from error
+        line = data.count(b"\n", 0, error.start) + 1
+        raise FileFormatError(
+            f"{name} is not text in UTF-8: {error.reason} at byte {error.start}, line {line}"
+        ) from error
+    table = Table.of(text, name)
+    names = _names(table, columns)
+    if names:
+        table = table.after_names()
+        if not table.lines:
+            raise FileFormatError(f"{name} holds a line of names and no point")
+    width = len(names) or _width(table)
+    use = _columns(names or [""] * width, columns, name)
+    _check_count(len(table.lines), name, most)
+    table.check_width(width)
+    return table.columns(use, tuple(NAMES))
 
 
-def _cells(line: str, delimiter: str | None) -> list[str]:
-    if delimiter is None:
-        return line.split()
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter))]
+def _names(table: Table, wanted: Sequence[str] | None) -> list[str]:
+    """The cells of the first line where they are names; none where they are numbers."""
+    cells = table.cells(0)
+    known = {label.strip().lower() for label in wanted or ()} | frozenset().union(*NAMES.values())
+    named = any(bare in known and not is_number(bare) for bare in map(_bare, cells))
+    return cells if named or not any(map(is_number, cells)) or _numbered(cells) else []
 
 
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
+def _numbered(cells: list[str]) -> bool:
+    """Whether these are the names that pandas gives columns without any: an empty one, 0, 1, 2."""
+    return len(cells) > 1 and cells == ["", *map(str, range(len(cells) - 1))]
 
 
-def _columns(names: list[str], header: bool, wanted: Sequence[str] | None, name: str) -> tuple[int, int, int]:
+def _width(table: Table) -> int:
+    """Columns of a table without names; a mark that ends every line separates nothing."""
+    width = len(table.cells(0))
+    mark = table.mark
+    return width - (width > 3 and mark is not None and all(line.endswith(mark) for line in table.lines))
+
+
+def _bare(label: str) -> str:
+    """A column's name in lower case, without its unit."""
+    return re.sub(r"[(\[].*", "", label).strip().lower()
+
+
+def _columns(names: list[str], wanted: Sequence[str] | None, name: str) -> tuple[int, int, int]:
     if wanted is None:
-        return _named(names if header else [""] * len(names), name)
-    known = {label.lower(): index for index, label in enumerate(names)} if header else {}
+        return _named(names, name)
+    known = {label.lower(): index for index, label in enumerate(names)}
     known |= {str(index): index for index in range(len(names))}
     missing = [label for label in wanted if label.lower() not in known]
     if missing or len(wanted) != 3:
@@ -194,7 +203,7 @@ def _columns(names: list[str], header: bool, wanted: Sequence[str] | None, name:
 
 
 def _named(labels: list[str], name: str) -> tuple[int, int, int]:
-    bare = [re.sub(r"[(\[].*", "", label).strip().lower() for label in labels]
+    bare = [_bare(label) for label in labels]
     axes = [next((axis for axis, accepted in NAMES.items() if label in accepted), "") for label in bare]
     if len(axes) == 3 and all(axis in ("", place) for axis, place in zip(axes, NAMES, strict=True)):
         return 0, 1, 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import io
 import lzma
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from common.errors import FileFormatError, LimitError, PointsError, SurfacelinkError
@@ -81,8 +82,13 @@ def test_a_header_that_promises_too_many_points_is_enough_to_refuse_a_file() -> 
         (TEXT, "a.dat", "accepted endings are .csv"),
         (b"", "a.csv", "empty"),
         (b"# nothing\n", "a.csv", "empty"),
-        (b"1,2,3\n1,2\n", "a.csv", "not a table of numbers"),
-        (b"1,2,3\n1,2,three\n", "a.csv", "not a table of numbers"),
+        (b"1,2,3\n1,2\n", "a.csv", "line 2 has 2 cells"),
+        (b"1,2,3\n1,2,three\n", "a.csv", "line 2: z is 'three', which is no number"),
+        (b"# a\r\n\r\nx,y,z\r\n1,2,3\r\n# b\r\n1,-,3\r\n", "a.csv", "line 6: y is '-'"),
+        (b"x,y,z\n1,2,3\n1,2,3,4\n", "a.csv", "line 3 has 4 cells where 3 are expected: '1,2,3,4'"),
+        (b"x y z quality\n1 2 3 9\n1 2 9\n", "a.xyz", "line 3 has 3 cells where 4 are expected"),  # no z
+        (b"date x y z\n2020-01-01 10:00 1 2 3\n", "a.xyz", "line 2 has 5 cells where 4"),
+        (b"x y z\n1 2 \xb5\n", "a.xyz", "byte 10, line 2"),
         (b"1,2,3,4\n", "a.csv", "4 columns"),
         (b"\xff\xfe\x00", "a.csv", "not text in UTF-8"),
         (b"PK\x03\x04", "a.npy", "not an NPY file"),
@@ -98,6 +104,71 @@ def test_a_header_that_promises_too_many_points_is_enough_to_refuse_a_file() -> 
 def test_a_file_that_holds_no_points_says_why(data: bytes, name: str, message: str) -> None:
     with pytest.raises(FileFormatError, match=message):
         parse_points(data, name)
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("x;y;z\n0,5;1;2\n345,123;4,0;-5,25\n", "a.csv"),
+        ("0,5;1;2\n345,123;4,0;-5,25\n", "a.csv"),
+        ("sep=;\nx;y;z\n0,5;1;2\n345,123;4;-5,25\n", "a.csv"),
+        ("x\ty\tz\n0,5\t1\t2\n345,123\t4,0\t-5,25\n", "a.txt"),
+        ("0,5 1,0 2,0\n345,123 4,0 -5,25\n", "a.xyz"),
+        ('x,y,z\n"0,5","1","2"\n"345,123","4","-5,25"\n', "a.csv"),
+        ("x;y;z;note\n0,5;1;2;no. 1\n345,123;4;-5,25;no. 2\n", "a.csv"),
+    ],
+)
+def test_decimal_commas_are_read_where_they_can_be_nothing_else(text: str, name: str) -> None:
+    np.testing.assert_array_equal(parse_points(text.encode(), name), [[0.5, 1, 2], [345.123, 4, -5.25]])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x;y;z\n1.5;2,5;3\n", "line 2: y is '2,5'.*decimal commas are accepted where no number has a point"),
+        ("x;y;z\n1;2;1.234,5\n", "line 2: z is '1.234,5'"),
+        ("x;y;z\n1;2;1,234,567\n", "line 2: z is '1,234,567'"),
+        ("x\ty\tz\n1\t2\t3\n1,234\t2,345\t3\n", "line 3: x is '1,234'.*must not look like thousands"),
+        ('x,y,z\n1,2,"1,234"\n', "line 2: z is '1,234'"),
+        ("x,y,z\n1,5,2,5,3,5\n", "line 2 has 6 cells where 3 are expected"),
+    ],
+)
+def test_commas_that_may_be_something_else_are_refused(text: str, message: str) -> None:
+    with pytest.raises(FileFormatError, match=message):
+        parse_points(text.encode(), "a.csv")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "1,2,3,\n4,5,6,\n",
+        "x,y,z\n1,2,3,\n4,5,6,\n",
+        '"x","y","z"\r\n"1", "2", "3"\r\n"4","5","6"\r\n',
+        '"x" "y" "z"\n1 2 3\n4 5 6\n',
+        'x,y,z,note\n1,2,3,"a, 9, 9, 9"\n4,5,6,"not closed\n',
+        'note,x,y,z\n"a, 9, 9, 9",1,2,3\nb,4,5,6\n',
+        "x\ty\tz\n1.\t+2\t3D+00\n4\t.5d1\t60E-1\n",
+        "  1   2   3 \n 40e-1 5.0 6.00\n",
+        "x,y,z\r1,2,3\r4,5,6\r",
+        "x,y,z,station\n1,2,3,A #1\n4,5,6,A #2\n",
+    ],
+)
+def test_what_programs_write(text: str) -> None:
+    np.testing.assert_array_equal(parse_points(text.encode(), "a.csv"), [[1, 2, 3], [4, 5, 6]])
+
+
+def test_a_row_with_a_word_in_it_is_not_taken_for_names() -> None:
+    text = b"1,2,3,rock\n4,5,6,sand\n"
+    np.testing.assert_array_equal(parse_points(text, "a.csv", ("0", "1", "2")), [[1, 2, 3], [4, 5, 6]])
+    text = b",0,1,2\n0,1.0,2.0,3.0\n1,4.0,5.0,6.0\n"  # pandas
+    np.testing.assert_array_equal(parse_points(text, "a.csv", ("1", "2", "3")), [[1, 2, 3], [4, 5, 6]])
+
+
+def test_numbers_are_read_to_the_last_bit_in_either_way() -> None:
+    points = np.random.default_rng(0).uniform(-1, 1, (300, 3)) * [6.4e6, 1.7e12, 1e-3]
+    text = "\n".join(",".join(map(repr, point)) for point in points.tolist())
+    np.testing.assert_array_equal(parse_points(text.encode(), "a.csv"), points)
+    np.testing.assert_array_equal(parse_points(f'x,y,z,"note"\n{text}'.encode(), "a.csv"), points)
 
 
 @pytest.mark.parametrize("header", ["z,a,b", "x,x,y", "x,lat,long", "lon,lat,height,depth", "y,x,z,z", "y,a,b"])
@@ -125,6 +196,9 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
 
 
 @given(st.binary(max_size=200), st.sampled_from(["a.csv", "a.xyz", "a.npy", "a.csv.gz", "a.npy.xz"]))
+@example(b'"' + b"a" * 200_000, "a.csv")
+@example(b'1,2,3\n"' + b"a" * 200_000 + b",2,3", "a.csv")
+@example(b"\x00\x01,\x02,\x03\n1,2,3\n", "a.csv")
 def test_any_bytes_are_points_or_our_error(data: bytes, name: str) -> None:
     try:
         points = parse_points(data, name)
@@ -147,3 +221,9 @@ def test_any_bytes_are_points_or_our_error(data: bytes, name: str) -> None:
 )
 def test_the_id_of_a_file_is_its_name_without_the_endings_that_are_understood(name: str, made: str) -> None:
     assert transmission_id(name) == made
+
+
+@given(st.text(alphabet='0123456789.,;- \t\n\r"#xyzdeN', max_size=60))
+def test_any_text_is_points_or_our_error(text: str) -> None:
+    with contextlib.suppress(SurfacelinkError):
+        assert parse_points(text.encode(), "a.csv").shape[1] == 3
