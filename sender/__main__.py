@@ -91,6 +91,13 @@ def send(
         str | None,
         typer.Option(metavar="X,Y,Z", help="Columns of a text file, by name or number, for example lon,lat,depth."),
     ] = None,
+    no_data: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HEIGHT",
+            help="Leave out a file's points of this height, and those without any; nan for only the latter.",
+        ),
+    ] = None,
     repeated: Annotated[
         Repeated,
         typer.Option(help="What a position with several heights is: refused (error), or their mean, min or max."),
@@ -143,13 +150,16 @@ def send(
         kind=kind,
         repeated=repeated,
         columns=None if columns is None else [label.strip() for label in columns.split(",")],
+        no_data=no_data,
         xy_unit=xy_unit,
         z_unit=z_unit,
         rounds=rounds,
         wire=wire,
     )
-    upload = (path.name, partial(read_points, path, order.columns)) if is_file else None
+    upload = (path.name, partial(read_points, path, order.columns, order.no_data)) if is_file else None
     prepared = prepare(order, upload)
+    for note in prepared.notes:
+        Console(stderr=True).print(f"note: {note}", highlight=False, markup=False, soft_wrap=True)
     console.print(
         f"{prepared.id}: {prepared.cloud} points -> {len(prepared.features)} feature points -> "
         f"{len(prepared.packets)} packets, {prepared.cost.total} bytes"

@@ -64,6 +64,7 @@ class TransmissionOut(BaseModel):
     packets: int = Field(description="Packets put on the air, retransmissions included.")
     bytes: int = Field(description="Bytes put on the air, retransmissions included.")
     protection_bytes: int = Field(description="Bytes of one sending that are there for the channel's sake.")
+    notes: tuple[str, ...] = Field((), description="What is worth a word of how the file was read.")
     retransmissions: int = Field(0, description="Packets sent again.")
     receipt: Receipt | None = Field(None, description="The receiver's last receipt.")
     links: dict[str, str] = Field(default_factory=dict)
@@ -101,6 +102,7 @@ class Desk:
             packets=len(prepared.packets),
             bytes=prepared.cost.total,
             protection_bytes=prepared.cost.protection,
+            notes=prepared.notes,
             links={"surface": f"{self._settings.receiver.rstrip('/')}/v1/surfaces/{prepared.id}"},
         )
         self._forget()
@@ -215,7 +217,8 @@ async def send(
                 raise ParameterError("the form has no file in its field 'file'")
             order = _parse(text.encode()) if isinstance(text, str) else Order()
             name = file.filename or "upload"
-            upload = (name, partial(parse_points, await file.read(), name, order.columns, settings.max_points))
+            data = await file.read()
+            upload = (name, partial(parse_points, data, name, order.columns, order.no_data, settings.max_points))
     else:
         raise HTTPException(HTTPStatus.UNSUPPORTED_MEDIA_TYPE)
     if order.surface is not None and upload is None:

@@ -8,15 +8,22 @@ import lzma
 import re
 import zlib
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from common.errors import FileFormatError, LimitError
+from common.errors import FileFormatError, LimitError, PointsError
 from common.surface import FloatArray, as_points
 from sender.tables import Table, is_number
+
+NoData: TypeAlias = Literal["nan"] | float
+"""A height that stands for none; "nan" where only missing and NaN ones do."""
+
+NO_HEIGHTS = frozenset({-9999.0, -99999.0, -32768.0, -32767.0, 9999.0, 99999.0})
+"""Heights that geographic software writes where there is none."""
 
 FORMATS = (".csv", ".txt", ".xyz", ".npy")
 """Endings that are understood; the text formats also compressed, as .gz or .xz."""
@@ -45,25 +52,39 @@ NAMES: Mapping[str, frozenset[str]] = {
 UNDERSTOOD = "; ".join(f"{axis} may be called {', '.join(sorted(names))}" for axis, names in NAMES.items())
 
 
-def read_points(path: Path, columns: Sequence[str] | None = None) -> FloatArray:
-    """The points of a file, shape (n, 3); see `parse_points` for the formats.
+@dataclass(frozen=True)
+class Cloud:
+    """Points of a file, shape (n, 3), and what is worth a word of how they were read."""
+
+    points: FloatArray
+    notes: tuple[str, ...] = ()
+
+
+def read_points(path: Path, columns: Sequence[str] | None = None, no_data: NoData | None = None) -> Cloud:
+    """The points of a file; see `parse_points` for the formats.
 
     Raises
     ------
     FileFormatError
         If the file cannot be read, and as `parse_points` says.
     PointsError
-        If the numbers are not finite.
+        As `parse_points` says.
     """
     try:
         data = path.read_bytes()
     except OSError as error:
         raise FileFormatError(f"cannot read {path}: {error.strerror or error}") from error
-    return parse_points(data, path.name, columns)
+    return parse_points(data, path.name, columns, no_data)
 
 
-def parse_points(data: bytes, name: str, columns: Sequence[str] | None = None, most: int | None = None) -> FloatArray:
-    """The points in the bytes of a file called `name`, shape (n, 3).
+def parse_points(
+    data: bytes,
+    name: str,
+    columns: Sequence[str] | None = None,
+    no_data: NoData | None = None,
+    most: int | None = None,
+) -> Cloud:
+    """The points in the bytes of a file called `name`.
 
     Parameters
     ----------
@@ -75,6 +96,9 @@ def parse_points(data: bytes, name: str, columns: Sequence[str] | None = None, m
     columns : three names, optional
         Which columns of a text file are x, y and z: names, or numbers counted from 0. By default the columns called
         x, y, z or another of `NAMES`; of three columns the one left; the only three, where no name contradicts that.
+    no_data : number or "nan", optional
+        Leaves out the points whose height is this number (to the seven digits of a float32), missing or NaN; "nan" is
+        no number beside those.
     most : int, optional
         Most points accepted; more are refused before they are read.
 
@@ -85,15 +109,50 @@ def parse_points(data: bytes, name: str, columns: Sequence[str] | None = None, m
     LimitError
         If there are more than `most` points.
     PointsError
-        If the numbers are not finite.
+        If there is no point, a number is not finite, or a height is missing and `no_data` is not given.
     """
     data, name = _unpacked(data, name)
     suffix = Path(name).suffix.lower()
     if suffix not in FORMATS:
         raise FileFormatError(f"cannot tell the format of {name!r}; accepted endings are {', '.join(FORMATS)}")
     if suffix == ".npy":
-        return as_points(_parse_npy(data, name, most))
-    return as_points(_parse_text(data, name, columns, most))
+        return _cloud(_parse_npy(data, name, most), lambda row: f"row {row}, counted from 0", name, no_data)
+    points, numbers = _parse_text(data, name, columns, most)
+    return _cloud(points, lambda row: f"line {numbers[row]}", name, no_data)
+
+
+def _cloud(values: np.ndarray[Any, Any], place: Callable[[int], str], name: str, no_data: NoData | None) -> Cloud:
+    """The points among the rows of an array (n, 3); `place` tells where in the file a row stands."""
+    points = np.asarray(values, dtype=np.float64)
+    z = points[:, 2]
+    missing = np.isnan(z)
+    if no_data is not None:
+        missing |= np.isclose(z, float(no_data), rtol=1e-7, atol=0.0)
+    elif missing.any():
+        raise PointsError(
+            f"{name}: {np.count_nonzero(missing)} of {len(z)} points have no height (an empty cell, NaN), the first on "
+            f"{place(int(missing.argmax()))}; --no-data nan (as JSON and TOML: no_data) leaves them out"
+        )
+    kept = np.flatnonzero(~missing)
+    if len(z) and not len(kept):
+        raise PointsError(f"{name}: none of its {len(z)} points has a height")
+    points = points[kept]
+    left_out = len(z) - len(kept)
+    notes = [f"{name}: {left_out} of {len(z)} points have no height and are left out"] if left_out else []
+    bad = ~np.isfinite(points)
+    if bad.any():
+        row, axis = np.argwhere(bad)[0].tolist()
+        raise PointsError(
+            f"{name}, {place(int(kept[row]))}: {'xyz'[axis]} is missing, NaN or infinite; accepted are finite numbers"
+        )
+    points = as_points(points)
+    heights = points[:, 2]
+    notes += [
+        f"{name}: {np.count_nonzero(heights == end)} heights are {end:g}, which often stands for none; "
+        f"--no-data {end:g} leaves them out"
+        for end in sorted({heights.min(), heights.max()} & NO_HEIGHTS)
+    ]
+    return Cloud(points, tuple(notes))
 
 
 def _parse_npy(data: bytes, name: str, most: int | None) -> np.ndarray[Any, Any]:
@@ -108,6 +167,8 @@ def _parse_npy(data: bytes, name: str, most: int | None) -> np.ndarray[Any, Any]
         raise FileFormatError(f"{name} is not an NPY file of numbers: {error}") from error
     if array.ndim != 2 or array.shape[1] != 3:
         raise FileFormatError(f"{name} holds an array of shape {array.shape}; accepted is (n, 3), columns x, y, z")
+    if array.dtype.kind not in "fiu":
+        raise FileFormatError(f"{name} holds {array.dtype}; accepted are real numbers")
     return array
 
 
@@ -141,7 +202,10 @@ def _unpacked(data: bytes, name: str) -> tuple[bytes, str]:
     return data, name
 
 
-def _parse_text(data: bytes, name: str, columns: Sequence[str] | None, most: int | None) -> FloatArray:
+def _parse_text(
+    data: bytes, name: str, columns: Sequence[str] | None, most: int | None
+) -> tuple[FloatArray, list[int]]:
+    """Columns x, y, z, NaN where a cell is missing, and the lines they stand on."""
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -159,7 +223,7 @@ def _parse_text(data: bytes, name: str, columns: Sequence[str] | None, most: int
     use = _columns(names or [""] * width, columns, name)
     _check_count(len(table.lines), name, most)
     table.check_width(width)
-    return table.columns(use, tuple(NAMES))
+    return table.columns(use, tuple(NAMES)), table.numbers
 
 
 def _names(table: Table, wanted: Sequence[str] | None) -> list[str]:

@@ -12,11 +12,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from common.errors import ParameterError
 from common.messages import SurfaceId
 from common.network.model import NetworkSettings
-from common.surface import FeatureSet, FloatArray, Region, Unit, Units
+from common.surface import FeatureSet, Region, Unit, Units
 from common.wire import Cost, WireOptions, encode_with_cost
 from sender.client import ReceiverClient, Sent
 from sender.features import Extracted, Repeated, extract_features
-from sender.readers import bare_name
+from sender.readers import Cloud, NoData, bare_name
 from sender.surfaces import find_surface
 
 
@@ -35,6 +35,9 @@ class Order(BaseModel):
     kind: Extracted = Field("extrema", description="Points to send: extrema of pieces, a lattice, or the whole cloud.")
     repeated: Repeated = Field("error", description="What to do with positions that carry more than one height.")
     columns: tuple[str, str, str] | None = Field(None, description="Columns of an uploaded text file: x, y, z.")
+    no_data: NoData | None = Field(
+        None, description="A file's height that stands for none; such points, and those without a height, are left out."
+    )
     xy_unit: Unit = Field("", description="Unit of x and y of an upload.")
     z_unit: Unit = Field("", description="Unit of z of an upload.")
     rounds: int = Field(1, ge=1, le=100, description="1 sends once; more sends again what the receipt calls missing.")
@@ -55,16 +58,17 @@ class Prepared:
     features: FeatureSet
     packets: list[bytes]
     cost: Cost
+    notes: tuple[str, ...]
 
 
-def prepare(order: Order, upload: tuple[str, Callable[[], FloatArray]] | None = None) -> Prepared:
+def prepare(order: Order, upload: tuple[str, Callable[[], Cloud]] | None = None) -> Prepared:
     """Draw or read the cloud, keep its feature points, encode them.
 
     Parameters
     ----------
     order : Order
     upload : (name, read), optional
-        Name of a file and a function that gives its points; the alternative to ``order.surface``.
+        Name of a file and a function that reads it; the alternative to ``order.surface``.
 
     Raises
     ------
@@ -77,13 +81,15 @@ def prepare(order: Order, upload: tuple[str, Callable[[], FloatArray]] | None = 
     """
     region: Region | None = None
     gap: float | None
+    notes: tuple[str, ...] = ()
     if order.surface is not None and upload is None:
         surface = find_surface(order.surface)
         cloud = surface.sample(np.random.default_rng(order.seed), order.points)
         name, region, units, gap = surface.name, surface.region, surface.units, order.gap or surface.gap
     elif upload is not None and order.surface is None:
         name, read = upload
-        cloud, units = read(), Units(order.xy_unit, order.z_unit)
+        file = read()
+        cloud, notes, units = file.points, file.notes, Units(order.xy_unit, order.z_unit)
         if order.points is not None:
             if order.points > len(cloud):
                 raise ParameterError(f"{name} holds {len(cloud)} points; {order.points} were asked for")
@@ -94,7 +100,7 @@ def prepare(order: Order, upload: tuple[str, Callable[[], FloatArray]] | None = 
     features = extract_features(cloud, gap=gap, kind=order.kind, region=region, repeated=order.repeated, units=units)
     transmission = order.id or transmission_id(name)
     packets, cost = encode_with_cost(features, transmission=transmission, options=order.wire)
-    return Prepared(transmission, len(cloud), features, packets, cost)
+    return Prepared(transmission, len(cloud), features, packets, cost, notes)
 
 
 def transmission_id(name: str) -> str:

@@ -19,6 +19,7 @@ from common.channel import Channel, PointImpairment
 from common.errors import MissingExtraError, NotFoundError, ParameterError
 from common.wire import WireOptions
 from sender.features import Extracted
+from sender.readers import NoData
 from sender.surfaces import MOST_POINTS, find_surface
 from simulator import fields
 from simulator.codecs import find_codec
@@ -51,6 +52,7 @@ class SurfaceChoice(Settings):
     field: str | None = None
     file: Path | None = Field(default=None, exclude=True)
     columns: tuple[str, str, str] | None = None
+    no_data: NoData | None = Field(default=None, exclude=True, description="as the sender's; `content` stands for it")
     points: int | None = Field(default=None, ge=3, le=MOST_POINTS)
     pieces: int | None = Field(default=None, ge=1, le=4000)
     content: str | None = Field(default=None, description="digest of the file, filled in when it is read")
@@ -59,8 +61,9 @@ class SurfaceChoice(Settings):
     def _one_of(self) -> Self:
         if sum(value is not None for value in (self.name, self.field, self.file)) != 1:
             raise ValueError("give one of name (of a surface), field (of 256 x 256 nodes) and file (of points)")
-        if self.columns is not None and self.file is None:
-            raise ValueError("columns belongs to a file")
+        for key in ("columns", "no_data"):
+            if getattr(self, key) is not None and self.file is None:
+                raise ValueError(f"{key} belongs to a file")
         try:
             if self.name is not None:
                 find_surface(self.name)
@@ -347,9 +350,11 @@ def _read(choice: SurfaceChoice, folder: Path) -> SurfaceChoice:
         return choice
     path = folder / choice.file
     try:
-        content = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+        data = path.read_bytes()
     except OSError as error:
         raise ParameterError(f"surfaces: cannot read {path}: {error.strerror or error}") from error
+    reading = b"" if choice.no_data is None else f"no_data {choice.no_data}".encode()
+    content = hashlib.sha256(data + reading).hexdigest()[:16]
     return choice.model_copy(update={"file": path, "content": content})
 
 

@@ -34,7 +34,7 @@ from simulator.progress import progress_bar
 from simulator.runner import Journal, Progress, Result, Row, Run, silent
 from simulator.table import to_csv, write_parquet
 from simulator.transports import Way, opened
-from simulator.trial import run_trial
+from simulator.trial import notes_of, run_trial
 
 PRESENTATION = frozenset(
     f"{name}.py"
@@ -108,6 +108,7 @@ def environment(workers: int) -> Mapping[str, str | int | None]:
 def plan_of_options(
     *,
     surface: list[str] | None,
+    no_data: str | None,
     channel: list[str] | None,
     method: list[str] | None,
     points: int | None,
@@ -122,7 +123,8 @@ def plan_of_options(
     """The keys of a campaign that options give; files are relative to where the command runs."""
     plan: dict[str, Any] = {}
     if surface:
-        plan["surfaces"] = [{"file": Path(name).absolute()} if names_file(name) else name for name in surface]
+        reading = {} if no_data is None else {"no_data": no_data}
+        plan["surfaces"] = [{"file": Path(name).absolute()} | reading if names_file(name) else name for name in surface]
     features = {"points": points, "gap": gap, "pieces": pieces, "budget": budget}
     given = {key: value for key, value in features.items() if value is not None}
     if given:
@@ -168,6 +170,13 @@ def sweep_command(
         list[str] | None,
         typer.Option(metavar="NAME|FILE", help="A surface (`sender surfaces` lists them), or points; may be repeated."),
     ] = None,
+    no_data: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HEIGHT",
+            help="Leave out files' points of this height, and those without any; nan for only the latter.",
+        ),
+    ] = None,
     channel: Annotated[
         list[str] | None,
         typer.Option(metavar="SPEC", help='A channel, for example "gaussian:std=0.1;erasure:p=0.05"; may be repeated.'),
@@ -205,6 +214,7 @@ def sweep_command(
     # The help is HELP, which names the plan that is the default.
     overrides = plan_of_options(
         surface=surface,
+        no_data=no_data,
         channel=channel,
         method=method,
         points=points,
@@ -220,9 +230,11 @@ def sweep_command(
         plan = Campaign.build({**DEFAULT_PLAN, **overrides}, source="options")
     else:
         plan = Campaign.load(campaign, overrides)
+    console = Console(stderr=True)
+    for note in dict.fromkeys(note for choice in plan.surfaces for note in notes_of(choice)):
+        console.print(f"note: {note}", highlight=False, markup=False, soft_wrap=True)
     folder = out or Path(plan.name)
     make_folder(folder)
-    console = Console(stderr=True)
     if fresh:
         (folder / "journal.jsonl").unlink(missing_ok=True)
     try:

@@ -135,7 +135,7 @@ def _source(choice: SurfaceChoice) -> Source:
         surface = find_surface(str(choice.name))
         ends = isinstance(surface, GriddedSurface)
         return _of_surface(surface, gap=surface.gap, nodes=surface.points if ends else None)
-    cloud = merge_repeated(read_points(choice.file, choice.columns), "mean")
+    cloud = merge_repeated(read_points(choice.file, choice.columns, choice.no_data).points, "mean")
     region = Region.of(cloud)
 
     def truth(shape: tuple[int, int]) -> HeightGrid:
@@ -157,6 +157,11 @@ def _source(choice: SurfaceChoice) -> Source:
         truth=truth,
         sample=sample,
     )
+
+
+def notes_of(choice: SurfaceChoice) -> tuple[str, ...]:
+    """What is worth a word of how a surface's file is read; raises FileFormatError or PointsError."""
+    return () if choice.file is None else read_points(choice.file, choice.columns, choice.no_data).notes
 
 
 def _of_surface(surface: Surface, *, gap: float | None, nodes: int | None) -> Source:

@@ -111,6 +111,20 @@ def test_a_file_is_sent() -> None:
     run(use)
 
 
+def test_points_of_a_file_without_a_height_are_left_out_and_told() -> None:
+    text = "0,0,1\n1,0,2\n0,1,-9999\n1,1,\n2,2,4\n3,1,4\n"
+
+    async def use(client: httpx.AsyncClient) -> None:
+        files = {"file": ("a.csv", text)}
+        answer = await client.post("/v1/transmissions", files=files, data={"order": '{"no_data": -9999}'})
+        assert answer.json()["cloud_points"] == 4
+        assert answer.json()["notes"] == ["a.csv: 2 of 6 points have no height and are left out"]
+        answer = await client.post("/v1/transmissions", files=files, data={"order": '{"no_data": "nan"}'})
+        assert answer.json()["cloud_points"] == 5
+
+    run(use)
+
+
 @pytest.mark.parametrize(
     ("network", "asked"),
     [
@@ -169,7 +183,7 @@ def test_a_receiver_that_is_down_is_a_failed_transmission_not_a_lost_one() -> No
         ({"content": b"x"}, 415, "application/json"),
         ({"files": {"other": ("a.csv", "1,2,3")}}, 422, "no file"),
         ({"files": {"file": ("a.csv", "1,2,3")}}, 422, "at least 3"),
-        ({"files": {"file": ("a.csv", "1,2,nan\n4,5,6\n7,8,8")}}, 422, "NaN"),
+        ({"files": {"file": ("a.csv", "1,2,nan\n4,5,6\n7,8,8")}}, 422, "1 of 3 points have no height"),
         ({"files": {"file": ("a.csv", "0,0,1\n0,0,2\n1,1,1\n2,1,3")}}, 422, "more than one height"),
         ({"files": {"file": ("a.tiff", "II*")}}, 422, "accepted endings"),
         ({"files": {"file": ("a.csv", "1,2,3\n" * 50_000)}}, 413, "at most 100000 bytes"),

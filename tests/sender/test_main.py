@@ -55,7 +55,12 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *ar
         (["one.csv"], "at least 3"),
         (["place.csv"], "one place"),
         (["line.csv"], "one line"),
-        (["nan.csv"], "NaN or infinite"),
+        (
+            ["nan.csv"],
+            "nan.csv: 1 of 3 points have no height (an empty cell, NaN), the first on line 1; --no-data nan",
+        ),
+        (["nan.csv", "--no-data", "nan"], "2 point(s) given"),
+        (["nan.csv", "--no-data", "none"], "no_data: Input should be 'nan'"),
         (["repeated.csv"], "more than one height"),
         (["binary.csv"], "not text in UTF-8"),
         (["picture.png"], "accepted endings"),
@@ -148,17 +153,19 @@ def test_every_option_of_send_reaches_the_order(
     monkeypatch.setattr("sender.__main__.anyio.run", record)
     path = tmp_path / "cloud.csv"
     path.write_text("a,b,c,d\n" + "".join(f"9,{i % 7},{i // 7},{i}\n" for i in range(49)))
-    run(
+    _, _, err = run(
         monkeypatch, capsys, "send", str(path), "--id", "n", "--gap", "2", "--points", "40", "--seed", "3", "--columns",
-        "b,c,d", "--repeated", "max", "--xy-unit", "km", "--z-unit", "m", "--rounds", "4", "--datagram", "300",
-        "--precision", "float32", "--receiver", "http://r.test",
+        "b,c,d", "--repeated", "max", "--no-data", "7", "--xy-unit", "km", "--z-unit", "m", "--rounds", "4",
+        "--datagram", "300", "--precision", "float32", "--receiver", "http://r.test",
     )  # fmt: skip
     order = seen["order"].model_dump()
     expected = {"id": "n", "gap": 2.0, "points": 40, "seed": 3, "columns": ("b", "c", "d"), "repeated": "max",
+                "no_data": 7.0,
                 "xy_unit": "km", "z_unit": "m", "rounds": 4}  # fmt: skip
     assert expected.items() <= order.items()
     assert (order["wire"]["datagram"], order["wire"]["precision"]) == (300, "float32")
     assert seen["prepared"].cloud == 40
+    assert "note: cloud.csv: 1 of 49 points have no height and are left out\n" in err
     assert seen["receiver"] == "http://r.test"
 
 

@@ -51,7 +51,7 @@ def npy(array: np.ndarray) -> bytes:
     ],
 )
 def test_each_format_gives_the_same_points(data: bytes, name: str, columns: tuple[str, ...] | None) -> None:
-    np.testing.assert_array_equal(parse_points(data, name, columns), POINTS)
+    np.testing.assert_array_equal(parse_points(data, name, columns).points, POINTS)
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_each_format_gives_the_same_points(data: bytes, name: str, columns: tupl
     ],
 )
 def test_no_more_points_than_asked_for_are_read(data: bytes, name: str) -> None:
-    np.testing.assert_array_equal(parse_points(data, name, most=2), POINTS)
+    np.testing.assert_array_equal(parse_points(data, name, most=2).points, POINTS)
     with pytest.raises(LimitError, match="holds 2 points; at most 1"):
         parse_points(data, name, most=1)
 
@@ -119,7 +119,7 @@ def test_a_file_that_holds_no_points_says_why(data: bytes, name: str, message: s
     ],
 )
 def test_decimal_commas_are_read_where_they_can_be_nothing_else(text: str, name: str) -> None:
-    np.testing.assert_array_equal(parse_points(text.encode(), name), [[0.5, 1, 2], [345.123, 4, -5.25]])
+    np.testing.assert_array_equal(parse_points(text.encode(), name).points, [[0.5, 1, 2], [345.123, 4, -5.25]])
 
 
 @pytest.mark.parametrize(
@@ -154,21 +154,21 @@ def test_commas_that_may_be_something_else_are_refused(text: str, message: str) 
     ],
 )
 def test_what_programs_write(text: str) -> None:
-    np.testing.assert_array_equal(parse_points(text.encode(), "a.csv"), [[1, 2, 3], [4, 5, 6]])
+    np.testing.assert_array_equal(parse_points(text.encode(), "a.csv").points, [[1, 2, 3], [4, 5, 6]])
 
 
 def test_a_row_with_a_word_in_it_is_not_taken_for_names() -> None:
     text = b"1,2,3,rock\n4,5,6,sand\n"
-    np.testing.assert_array_equal(parse_points(text, "a.csv", ("0", "1", "2")), [[1, 2, 3], [4, 5, 6]])
+    np.testing.assert_array_equal(parse_points(text, "a.csv", ("0", "1", "2")).points, [[1, 2, 3], [4, 5, 6]])
     text = b",0,1,2\n0,1.0,2.0,3.0\n1,4.0,5.0,6.0\n"  # pandas
-    np.testing.assert_array_equal(parse_points(text, "a.csv", ("1", "2", "3")), [[1, 2, 3], [4, 5, 6]])
+    np.testing.assert_array_equal(parse_points(text, "a.csv", ("1", "2", "3")).points, [[1, 2, 3], [4, 5, 6]])
 
 
 def test_numbers_are_read_to_the_last_bit_in_either_way() -> None:
     points = np.random.default_rng(0).uniform(-1, 1, (300, 3)) * [6.4e6, 1.7e12, 1e-3]
     text = "\n".join(",".join(map(repr, point)) for point in points.tolist())
-    np.testing.assert_array_equal(parse_points(text.encode(), "a.csv"), points)
-    np.testing.assert_array_equal(parse_points(f'x,y,z,"note"\n{text}'.encode(), "a.csv"), points)
+    np.testing.assert_array_equal(parse_points(text.encode(), "a.csv").points, points)
+    np.testing.assert_array_equal(parse_points(f'x,y,z,"note"\n{text}'.encode(), "a.csv").points, points)
 
 
 @pytest.mark.parametrize("header", ["z,a,b", "x,x,y", "x,lat,long", "lon,lat,height,depth", "y,x,z,z", "y,a,b"])
@@ -183,9 +183,66 @@ def test_columns_that_are_not_there_are_named() -> None:
         parse_points(TEXT, "a.csv", ("x", "y", "depth"))
 
 
-def test_numbers_that_are_not_finite_are_refused() -> None:
-    with pytest.raises(PointsError, match="NaN"):
-        parse_points(b"1,2,nan\n", "a.csv")
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x,y,z\n1,2,3\ninf,4,5\n", "line 3: x is missing, NaN or infinite"),
+        ("x,y,z\n1,2,3\n\n1,,5\n", "line 4: y is missing"),
+        ("1,2,-inf\n", "line 1: z is"),
+    ],
+)
+def test_numbers_that_are_not_finite_are_refused(text: str, message: str) -> None:
+    for no_data in (None, "nan", 3.0):
+        with pytest.raises(PointsError, match=message):
+            parse_points(text.encode(), "a.csv", no_data=no_data)
+
+
+HOLES = b"x,y,z\n0,1,2.5\n# no fix\n7,8,\n7,8,NaN\n3,4,-5\n7,8,n/a\n"
+
+
+@pytest.mark.parametrize(
+    ("data", "name", "place"),
+    [
+        (HOLES, "a.csv", "line 4"),
+        (b"0 1 2.5\n3 4 -5\n7 8 nan\n7 8 nan\n7 8 NaN", "a.xyz", "line 3"),
+        (b"0;1;2,5\n3;4;-5,0\n7;8;\n7,5;8;\n7;8;", "a.csv", "line 3"),
+        (npy(np.vstack([POINTS, np.full((3, 3), np.nan)])), "a.npy", "row 2, counted from 0"),
+    ],
+)
+def test_points_without_a_height_are_left_out_where_that_is_asked_for(data: bytes, name: str, place: str) -> None:
+    with pytest.raises(PointsError, match=f"{name}: 3 of 5 points have no height .* {place}; .*--no-data nan"):
+        parse_points(data, name)
+    for no_data in ("nan", -9999.0):
+        cloud = parse_points(data, name, no_data=no_data)
+        np.testing.assert_array_equal(cloud.points, POINTS)
+        assert cloud.notes == (f"{name}: 3 of 5 points have no height and are left out",)
+
+
+@pytest.mark.parametrize(
+    ("written", "said"),
+    [("-9999", -9999.0), ("-9999.00", -9999.0), ("-32768", -32768.0), ("-3.402823466385289e+38", -3.4028235e38)],
+)
+def test_heights_that_stand_for_none_are_left_out_by_their_value(written: str, said: float) -> None:
+    text = b"0,1,2.5\n7,8,%s\n3,4,-5\n7,8,\n" % written.encode()
+    cloud = parse_points(text, "a.csv", no_data=said)
+    np.testing.assert_array_equal(cloud.points, POINTS)
+    assert cloud.notes == ("a.csv: 2 of 4 points have no height and are left out",)
+
+
+def test_heights_that_look_like_none_are_kept_and_told() -> None:
+    cloud = parse_points(b"0,1,2.5\n7,8,-9999\n3,4,-5\n7,8,-9999\n", "a.csv")
+    assert len(cloud.points) == 4
+    assert cloud.notes == ("a.csv: 2 heights are -9999, which often stands for none; --no-data -9999 leaves them out",)
+
+
+def test_a_file_without_any_height_says_so() -> None:
+    with pytest.raises(PointsError, match="none of its 2 points has a height"):
+        parse_points(b"x,y,z\n1,2,\n3,4,\n", "a.csv", no_data="nan")
+
+
+def test_complex_numbers_are_no_coordinates() -> None:
+    with pytest.raises(FileFormatError, match="complex128; accepted are real numbers"):
+        parse_points(npy(np.ones((3, 3), complex)), "a.npy")
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
@@ -201,7 +258,7 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
 @example(b"\x00\x01,\x02,\x03\n1,2,3\n", "a.csv")
 def test_any_bytes_are_points_or_our_error(data: bytes, name: str) -> None:
     try:
-        points = parse_points(data, name)
+        points = parse_points(data, name).points
     except SurfacelinkError:
         return
     assert points.shape[1] == 3
@@ -226,4 +283,4 @@ def test_the_id_of_a_file_is_its_name_without_the_endings_that_are_understood(na
 @given(st.text(alphabet='0123456789.,;- \t\n\r"#xyzdeN', max_size=60))
 def test_any_text_is_points_or_our_error(text: str) -> None:
     with contextlib.suppress(SurfacelinkError):
-        assert parse_points(text.encode(), "a.csv").shape[1] == 3
+        assert parse_points(text.encode(), "a.csv").points.shape[1] == 3

@@ -22,7 +22,7 @@ from simulator.choice import choose_features
 from simulator.runner import Cell, Run
 from simulator.sweep import DEFAULT_PLAN, code_digest, plan_of_options, run_campaign, sweep_command
 from simulator.table import COLUMNS, to_csv, write_parquet
-from simulator.trial import run_trial
+from simulator.trial import notes_of, run_trial
 
 PLAN: dict[str, Any] = {
     "name": "small",
@@ -39,7 +39,20 @@ def campaign(**changes: object) -> Campaign:
 
 
 def options_of(**given: Any) -> dict[str, Any]:
-    names = ("surface", "channel", "method", "points", "gap", "pieces", "budget", "seeds", "seed", "grid", "rounds")
+    names = (
+        "surface",
+        "no_data",
+        "channel",
+        "method",
+        "points",
+        "gap",
+        "pieces",
+        "budget",
+        "seeds",
+        "seed",
+        "grid",
+        "rounds",
+    )
     return plan_of_options(**{**dict.fromkeys(names), **given})
 
 
@@ -235,6 +248,24 @@ def test_files_of_equal_contents_are_told_apart_by_their_names(tmp_path: Path) -
         assert [row["surface"] for row in rows] == list(names)
         assert rows == rows_of(plan(*names))
         assert len({row["transmission"] for row in rows}) == len(names)
+
+
+def test_points_of_a_file_without_a_height_are_left_out_where_that_is_asked_for(tmp_path: Path) -> None:
+    points = np.random.default_rng(0).random((200, 3)).tolist()
+    (tmp_path / "a.csv").write_text("\n".join(",".join(map(repr, point)) for point in points) + "\n0.5,0.5,-9999\n")
+
+    def plan(**reading: object) -> Campaign:
+        changes = {"surfaces": [{"file": "a.csv", **reading}], "channels": ["clean"], "methods": ["linear"], "seeds": 1}
+        return Campaign.build(PLAN | changes, folder=tmp_path)
+
+    (whole,), (rid,) = rows_of(plan()), rows_of(plan(no_data=-9999))
+    assert (whole["points"], rid["points"]) == (201, 200)
+    assert len({plan(**each).trials()[0].key for each in ({}, {"no_data": -9999}, {"no_data": "nan"})}) == 3
+    assert "often stands for none" in notes_of(plan().surfaces[0])[0]
+    assert "1 of 201 points have no height" in notes_of(plan(no_data=-9999).surfaces[0])[0]
+    for wrong in ({"surfaces": [{"file": "a.csv", "no_data": "x"}]}, {"surfaces": [{"name": "peaks", "no_data": 1}]}):
+        with pytest.raises(ParameterError, match="no_data"):
+            Campaign.build(PLAN | wrong, folder=tmp_path)
 
 
 def test_the_transmissions_of_named_surfaces_are_those_of_the_published_campaigns() -> None:
