@@ -89,7 +89,7 @@ def send(
     seed: Annotated[int, typer.Option(help="Seed the cloud is drawn from.")] = 0,
     columns: Annotated[
         str | None,
-        typer.Option(metavar="X,Y,Z", help="Columns of a text file, by name or number, for example lon,lat,depth."),
+        typer.Option(metavar="X,Y,Z", help="Columns of a file, by name or number from 0, for example lon,lat,depth."),
     ] = None,
     no_data: Annotated[
         str | None,

@@ -8,7 +8,7 @@ import lzma
 import re
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal, TypeAlias
@@ -23,7 +23,7 @@ NoData: TypeAlias = Literal["nan"] | float
 """A height that stands for none; "nan" where only missing and NaN ones do."""
 
 NO_HEIGHTS = frozenset({-9999.0, -99999.0, -32768.0, -32767.0, 9999.0, 99999.0})
-"""Heights that geographic software writes where there is none."""
+"""Heights that geographic software writes where there is none, beside the largest of float32."""
 
 FORMATS = (".csv", ".txt", ".xyz", ".npy")
 """Endings that are understood; the text formats also compressed, as .gz or .xz."""
@@ -91,11 +91,13 @@ def parse_points(
     data : bytes
     name : str
         Tells the format by its ending: .npy holds an array of shape (n, 3); .csv, .txt and .xyz hold a point a line,
-        columns separated by commas, semicolons or white space, with or without a line of names, "#" starts a
-        comment. The text formats may be compressed (.gz, .xz).
+        columns separated by commas, semicolons or white space, with or without a line of names, which may be a
+        comment; "#" starts one, as do "%" and "//" at the start of a line. The text formats may be compressed (.gz,
+        .xz).
     columns : three names, optional
-        Which columns of a text file are x, y and z: names, or numbers counted from 0. By default the columns called
-        x, y, z or another of `NAMES`; of three columns the one left; the only three, where no name contradicts that.
+        Which columns are x, y and z: numbers counted from 0, in a text file also names, in any case, with or without
+        the unit. By default the columns called x, y, z or another of `NAMES`; of three columns the one left; the only
+        three, where no name contradicts that. A note says so where a name was not known.
     no_data : number or "nan", optional
         Leaves out the points whose height is this number (to the seven digits of a float32), missing or NaN; "nan" is
         no number beside those.
@@ -116,9 +118,10 @@ def parse_points(
     if suffix not in FORMATS:
         raise FileFormatError(f"cannot tell the format of {name!r}; accepted endings are {', '.join(FORMATS)}")
     if suffix == ".npy":
-        return _cloud(_parse_npy(data, name, most), lambda row: f"row {row}, counted from 0", name, no_data)
-    points, numbers = _parse_text(data, name, columns, most)
-    return _cloud(points, lambda row: f"line {numbers[row]}", name, no_data)
+        return _cloud(_parse_npy(data, name, columns, most), lambda row: f"row {row}, counted from 0", name, no_data)
+    points, numbers, notes = _parse_text(data, name, columns, most)
+    cloud = _cloud(points, lambda row: f"line {numbers[row]}", name, no_data)
+    return replace(cloud, notes=(*notes, *cloud.notes))
 
 
 def _cloud(values: np.ndarray[Any, Any], place: Callable[[int], str], name: str, no_data: NoData | None) -> Cloud:
@@ -148,14 +151,15 @@ def _cloud(values: np.ndarray[Any, Any], place: Callable[[int], str], name: str,
     points = as_points(points)
     heights = points[:, 2]
     notes += [
-        f"{name}: {np.count_nonzero(heights == end)} heights are {end:g}, which often stands for none; "
-        f"--no-data {end:g} leaves them out"
-        for end in sorted({heights.min(), heights.max()} & NO_HEIGHTS)
+        f"{name}: {np.count_nonzero(heights == end)} heights are {end:.9g}, which often stands for none; "
+        f"--no-data {end:.9g} leaves them out"
+        for end in sorted({heights.min(), heights.max()})
+        if end in NO_HEIGHTS or 1e38 <= abs(end) < 4e38
     ]
     return Cloud(points, tuple(notes))
 
 
-def _parse_npy(data: bytes, name: str, most: int | None) -> np.ndarray[Any, Any]:
+def _parse_npy(data: bytes, name: str, columns: Sequence[str] | None, most: int | None) -> np.ndarray[Any, Any]:
     file = io.BytesIO(data)
     try:
         shape, _, _ = NPY_HEADERS[np.lib.format.read_magic(file)](file)
@@ -165,6 +169,8 @@ def _parse_npy(data: bytes, name: str, most: int | None) -> np.ndarray[Any, Any]
         raise
     except (KeyError, ValueError, EOFError, OSError, MemoryError) as error:
         raise FileFormatError(f"{name} is not an NPY file of numbers: {error}") from error
+    if columns is not None and array.ndim == 2 and array.shape[1]:
+        array = array[:, _columns([""] * array.shape[1], columns, name)]
     if array.ndim != 2 or array.shape[1] != 3:
         raise FileFormatError(f"{name} holds an array of shape {array.shape}; accepted is (n, 3), columns x, y, z")
     if array.dtype.kind not in "fiu":
@@ -204,8 +210,8 @@ def _unpacked(data: bytes, name: str) -> tuple[bytes, str]:
 
 def _parse_text(
     data: bytes, name: str, columns: Sequence[str] | None, most: int | None
-) -> tuple[FloatArray, list[int]]:
-    """Columns x, y, z, NaN where a cell is missing, and the lines they stand on."""
+) -> tuple[FloatArray, list[int], list[str]]:
+    """Columns x, y, z, NaN where a cell is missing; the lines they stand on; what is worth a word."""
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -214,24 +220,47 @@ def _parse_text(
             f"{name} is not text in UTF-8: {error.reason} at byte {error.start}, line {line}"
         ) from error
     table = Table.of(text, name)
-    names = _names(table, columns)
-    if names:
-        table = table.after_names()
-        if not table.lines:
-            raise FileFormatError(f"{name} holds a line of names and no point")
-    width = len(names) or _width(table)
+    known = frozenset().union(*NAMES.values(), (_bare(label) for label in columns or ()))
+    has_names = _are_names(table.cells(0), known)
+    if has_names and len(table.lines) == 1:
+        raise FileFormatError(f"{name} holds a line of names and no point")
+    _check_count(len(table.lines) - has_names, name, most)
+    names_line, table = table.lines[0], table.after_names() if has_names else table
+    width = _width(table)
+    names = table.labels(names_line, width) if has_names else _commented(table, width, known)
+    if names and not _are_numbers(columns):
+        width = len(names)
+    elif len(names) != width:
+        names = []
     use = _columns(names or [""] * width, columns, name)
-    _check_count(len(table.lines), name, most)
     table.check_width(width)
-    return table.columns(use, tuple(NAMES)), table.numbers
+    notes = []
+    if names and columns is None and not all(_bare(names[k]) in known for k in use):
+        found = ", ".join(names[k] for k in use)
+        notes.append(f"{name}: x, y, z are taken from the columns {found}; --columns takes others")
+    return table.columns(use, tuple(NAMES)), table.numbers, notes
 
 
-def _names(table: Table, wanted: Sequence[str] | None) -> list[str]:
-    """The cells of the first line where they are names; none where they are numbers."""
-    cells = table.cells(0)
-    known = {label.strip().lower() for label in wanted or ()} | frozenset().union(*NAMES.values())
-    named = any(bare in known and not is_number(bare) for bare in map(_bare, cells))
-    return cells if named or not any(map(is_number, cells)) or _numbered(cells) else []
+def _are_numbers(columns: Sequence[str] | None) -> bool:
+    return columns is not None and all(label.strip().isdecimal() for label in columns)
+
+
+def _are_names(cells: list[str], known: frozenset[str]) -> bool:
+    """Whether the cells of a first line are names of columns."""
+    named = any(_bare(cell) in known and not is_number(cell) for cell in cells)
+    return named or not any(map(is_number, cells)) or _numbered(cells)
+
+
+def _commented(table: Table, width: int, known: frozenset[str]) -> list[str]:
+    """The names in the last comment before the points that holds some, as numpy.savetxt writes them."""
+    for text in reversed(table.comments):
+        labels = table.labels(text, width)
+        if len(labels) == width and not any(map(is_number, labels)):
+            places = [k for k, label in enumerate(labels) if _bare(label) in known]
+            # One of the names alone may be a word of prose, such as "depth in metres".
+            if len(places) > 1 or any(_bare(labels[k]) in list(NAMES.values())[k] for k in places if k < len(NAMES)):
+                return labels
+    return []
 
 
 def _numbered(cells: list[str]) -> bool:
@@ -254,16 +283,32 @@ def _bare(label: str) -> str:
 def _columns(names: list[str], wanted: Sequence[str] | None, name: str) -> tuple[int, int, int]:
     if wanted is None:
         return _named(names, name)
-    known = {label.lower(): index for index, label in enumerate(names)}
-    known |= {str(index): index for index in range(len(names))}
-    missing = [label for label in wanted if label.lower() not in known]
-    if missing or len(wanted) != 3:
+    found = [_places(label.strip().lower(), names) for label in wanted]
+    has = f"numbers 0 to {len(names) - 1}" + (f", names {_listed(names)}" if any(names) else "")
+    if len(wanted) != 3:
         raise FileFormatError(
-            f"{name}: columns {', '.join(wanted)} are not three of its columns: {', '.join(names[:8])} "
-            f"or 0 to {len(names) - 1}"
+            f"{name}: three columns are needed, those of x, y and z, not {len(wanted)} ({', '.join(wanted)}); "
+            f"the file's columns: {has}"
         )
-    x, y, z = (known[label.lower()] for label in wanted)
+    for label, places in zip(wanted, found, strict=True):
+        if len(places) != 1:
+            raise FileFormatError(
+                f"{name}: {label!r} is {'more than one' if places else 'none'} of the file's columns: {has}"
+            )
+    x, y, z = (place for (place,) in found)
     return x, y, z
+
+
+def _places(label: str, names: list[str]) -> list[int]:
+    """Where a column stands that is told by a number counted from 0, its name, or its name without the unit."""
+    if label.isdecimal() and int(label) < len(names):
+        return [int(label)]
+    whole = [k for k, other in enumerate(names) if other.lower() == label]
+    return whole or [k for k, other in enumerate(names) if _bare(other) == label != ""]
+
+
+def _listed(labels: list[str]) -> str:
+    return ", ".join(labels[:8]) + (", ..." if len(labels) > 8 else "")
 
 
 def _named(labels: list[str], name: str) -> tuple[int, int, int]:
@@ -276,10 +321,10 @@ def _named(labels: list[str], name: str) -> tuple[int, int, int]:
     # The plain name goes before the others: x, y, z beside lon and lat.
     found = [(bare if axis in bare else axes, axis) for axis in NAMES]
     if any(names.count(axis) != 1 for names, axis in found):
-        shown = ", ".join(labels[:8]) + (", ..." if len(labels) > 8 else "")
+        shown = f" ({_listed(labels)})" if any(labels) else ""
         raise FileFormatError(
-            f"{name} has {len(labels)} columns{f' ({shown})' if any(labels) else ''}, and which of them are x, y and z "
-            f"is not clear; {UNDERSTOOD}; or say which they are, for example columns = 0,1,2"
+            f"{name} has {len(labels)} columns{shown}, and which of them are x, y and z is not clear; "
+            f"{UNDERSTOOD}; or say which they are, for example columns = 0,1,2"
         )
     x, y, z = (names.index(axis) for names, axis in found)
     return x, y, z

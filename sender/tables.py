@@ -46,29 +46,36 @@ class Table:
         Where the lines stand in the file, counted from 1.
     mark : str or None
         What separates cells; None is white space.
+    comments : list of str
+        What stands in the lines of comment before the first of `lines`.
     """
 
     name: str
     lines: list[str]
     numbers: list[int]
     mark: str | None
+    comments: list[str]
 
     @classmethod
     def of(cls, text: str, name: str) -> Table:
         """The table in a text; raises FileFormatError where there is none."""
-        numbers, lines = [], []
+        numbers: list[int] = []
+        lines: list[str] = []
+        comments = []
         for number, raw in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), 1):
             line = raw.partition("#")[0].strip(" ")
             if line.strip() and not line.startswith(("//", "%")):
                 numbers.append(number)
                 lines.append(line)
+            elif not lines:
+                comments.append(raw.strip().lstrip("#/%").strip())
         mark = None
         if lines and (excel := re.fullmatch(r'"?sep=([;,\t])"?', lines[0])):
             mark = excel[1]
             del lines[0], numbers[0]
         if not lines:
             raise FileFormatError(f"{name} is empty; accepted is one point a line, three columns x, y, z")
-        return cls(name, lines, numbers, mark or _mark(lines[:2]))
+        return cls(name, lines, numbers, mark or _mark(lines[:2]), comments)
 
     def cells(self, row: int) -> list[str]:
         """The cells of a row, without quotes; raises FileFormatError."""
@@ -77,9 +84,19 @@ class Table:
         except csv.Error as error:
             raise FileFormatError(f"{self.name}, line {self.numbers[row]}: {error}") from error
 
+    def labels(self, text: str, width: int) -> list[str]:
+        """The names in a text: as its cells are separated, or however else there are `width` of them."""
+        try:
+            cells = _split(text, self.mark)
+        except csv.Error:
+            return []
+        # A unit belongs to the name before it.
+        words = re.split(r"[,;\s]+", re.sub(r"\s+(?=[(\[])", "", text.strip()))
+        return words if len(words) == width and (self.mark is None or len(cells) != width) else cells
+
     def after_names(self) -> Table:
         """The table without its first row."""
-        return Table(self.name, self.lines[1:], self.numbers[1:], self.mark)
+        return Table(self.name, self.lines[1:], self.numbers[1:], self.mark, self.comments)
 
     def check_width(self, width: int) -> None:
         """Raise FileFormatError unless the rows have `width` cells; between marks the last ones may be missing."""

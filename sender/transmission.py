@@ -34,7 +34,9 @@ class Order(BaseModel):
     gap: float | None = Field(None, gt=0, description="Segment gap, in the units of x and y.")
     kind: Extracted = Field("extrema", description="Points to send: extrema of pieces, a lattice, or the whole cloud.")
     repeated: Repeated = Field("error", description="What to do with positions that carry more than one height.")
-    columns: tuple[str, str, str] | None = Field(None, description="Columns of an uploaded text file: x, y, z.")
+    columns: tuple[str, ...] | None = Field(
+        None, description="The three columns of a file that are x, y, z: names, or numbers counted from 0."
+    )
     no_data: NoData | None = Field(
         None, description="A file's height that stands for none; such points, and those without a height, are left out."
     )

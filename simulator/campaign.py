@@ -51,7 +51,7 @@ class SurfaceChoice(Settings):
     name: str | None = None
     field: str | None = None
     file: Path | None = Field(default=None, exclude=True)
-    columns: tuple[str, str, str] | None = None
+    columns: tuple[str, ...] | None = None
     no_data: NoData | None = Field(default=None, exclude=True, description="as the sender's; `content` stands for it")
     points: int | None = Field(default=None, ge=3, le=MOST_POINTS)
     pieces: int | None = Field(default=None, ge=1, le=4000)

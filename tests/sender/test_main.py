@@ -63,6 +63,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *ar
         (["nan.csv", "--no-data", "none"], "no_data: Input should be 'nan'"),
         (["repeated.csv"], "more than one height"),
         (["binary.csv"], "not text in UTF-8"),
+        (["place.csv", "--columns", "lon,lat"], "three columns are needed, those of x, y and z, not 2 (lon, lat)"),
         (["picture.png"], "accepted endings"),
     ],
 )

@@ -178,8 +178,87 @@ def test_names_that_leave_the_axes_open_are_refused(header: str) -> None:
         parse_points(f"{header}\n{row}\n".encode(), "a.csv")
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# lat lon depth\n1 0 2.5\n4 3 -5\n",
+        "# lat, lon, depth\n1 0 2.5\n4 3 -5\n",
+        "# lat lon depth\n1,0,2.5\n4,3,-5\n",
+        "# survey of 2020\n# Latitude [deg] Longitude [deg] Depth [m]\n#\n# by hand\n1 0 2.5\n4 3 -5\n",
+        "//Y X Z\n1 0 2.5\n4 3 -5\n",
+        "% northing;easting;value\n1;0;2.5\n4;3;-5\n",
+        "#,Y,X,Z\n1,1,0,2.5\n2,4,3,-5\n",
+        "# lat lon value\n1 0 2.5\n4 3 -5\n",
+        "Y [m] X [m] Z [m]\n1 0 2.5\n4 3 -5\n",
+        "y,x,z\n1 0 2.5\n4 3 -5\n",
+    ],
+)
+def test_names_in_a_comment_count_as_those_of_a_first_line(text: str) -> None:
+    np.testing.assert_array_equal(parse_points(text.encode(), "a.xyz").points, POINTS)
+
+
+def test_names_that_numpy_writes_are_read(tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "a.txt", POINTS[:, [1, 0, 2]], header="lat lon depth")
+    cloud = read_points(tmp_path / "a.txt")
+    np.testing.assert_array_equal(cloud.points, POINTS)
+    assert cloud.notes == ()
+    np.savetxt(tmp_path / "b.txt", POINTS[:, [2, 0, 1]], header="a b c")
+    np.testing.assert_array_equal(read_points(tmp_path / "b.txt", ("B", "c", "a")).points, POINTS)
+
+
+@pytest.mark.parametrize("comment", ["made by hand", "depth in metres", "1 2 3", "lat lon"])
+def test_a_comment_that_holds_no_names_is_a_comment(comment: str) -> None:
+    np.testing.assert_array_equal(parse_points(f"# {comment}\n0 1 2.5\n3 4 -5\n".encode(), "a.xyz").points, POINTS)
+
+
+@pytest.mark.parametrize(
+    ("header", "note"),
+    [
+        ("x,y,z", ""),
+        ("lon,lat,Depth [m]", ""),
+        ("a,b,c", "a.csv: x, y, z are taken from the columns a, b, c; --columns takes others"),
+        (
+            "lon,lat,bathymetry_m",
+            "a.csv: x, y, z are taken from the columns lon, lat, bathymetry_m; --columns takes others",
+        ),
+    ],
+)
+def test_a_note_tells_which_columns_of_unknown_names_were_taken(header: str, note: str) -> None:
+    text = f"{header}\n0,1,2.5\n3,4,-5\n".encode()
+    assert parse_points(text, "a.csv").notes == ((note,) if note else ())
+    assert parse_points(text, "a.csv", ("0", "1", "2")).notes == ()
+
+
+@pytest.mark.parametrize(
+    ("header", "columns", "message"),
+    [
+        ("lon,lat,depth", ("lon", "lat"), r"three columns .* not 2 \(lon, lat\); .* 0 to 2, names lon, lat, depth"),
+        ("lon,lat,depth", ("lon", "lat", "3"), "'3' is none of the file's columns: numbers 0 to 2, names lon, lat"),
+        ("x,y,y", ("x", "y", "2"), "'y' is more than one of"),
+        ("", ("x", "y", "z"), "'x' is none of the file's columns: numbers 0 to 2$"),
+    ],
+)
+def test_columns_that_are_not_three_of_the_file_are_told(header: str, columns: tuple[str, ...], message: str) -> None:
+    with pytest.raises(FileFormatError, match=message):
+        parse_points(f"{header}\n1,2,3\n4,5,6\n".encode(), "a.csv", columns)
+
+
+def test_columns_are_found_without_their_unit_and_by_number_beside_too_few_names() -> None:
+    text = b"Depth [m],lon (deg),lat (deg),lon\n2.5,9,1,0\n-5,9,4,3\n"
+    np.testing.assert_array_equal(parse_points(text, "a.csv", ("lon", "lat", "depth")).points, POINTS)
+    text = b'"u" "v" "w"\n"1" 0 1 2.5\n"2" 3 4 -5\n'  # as R writes it, names of rows without one of their own
+    np.testing.assert_array_equal(parse_points(text, "a.txt", ("1", "2", "3")).points, POINTS)
+
+
+def test_the_columns_of_an_array_are_taken_by_number() -> None:
+    array = npy(np.column_stack([POINTS[:, 2], np.ones(2), POINTS[:, :2]]))
+    np.testing.assert_array_equal(parse_points(array, "a.npy", ("2", "3", "0")).points, POINTS)
+    with pytest.raises(FileFormatError, match=r"'x' is none of the file's columns: numbers 0 to 3$"):
+        parse_points(array, "a.npy", ("x", "3", "0"))
+
+
 def test_columns_that_are_not_there_are_named() -> None:
-    with pytest.raises(FileFormatError, match=r"depth.*x, y, z"):
+    with pytest.raises(FileFormatError, match=r"'depth' is none of .*x, y, z"):
         parse_points(TEXT, "a.csv", ("x", "y", "depth"))
 
 
