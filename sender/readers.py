@@ -17,7 +17,7 @@ import numpy as np
 
 from common.errors import FileFormatError, LimitError, PointsError
 from common.surface import FloatArray, as_points
-from sender.tables import Table, is_number
+from sender.tables import Table, is_number, shown
 
 NoData: TypeAlias = Literal["nan"] | float
 """A height that stands for none; "nan" where only missing and NaN ones do."""
@@ -219,6 +219,9 @@ def _parse_text(
         raise FileFormatError(
             f"{name} is not text in UTF-8: {error.reason} at byte {error.start}, line {line}"
         ) from error
+    if "\0" in text:
+        line = text.count("\n", 0, text.index("\0")) + 1
+        raise FileFormatError(f"{name} is not text in UTF-8: a zero byte on line {line}")
     table = Table.of(text, name)
     known = frozenset().union(*NAMES.values(), (_bare(label) for label in columns or ()))
     has_names = _are_names(table.cells(0), known)
@@ -227,6 +230,11 @@ def _parse_text(
     _check_count(len(table.lines) - has_names, name, most)
     names_line, table = table.lines[0], table.after_names() if has_names else table
     width = _width(table)
+    if width < len(NAMES):
+        raise FileFormatError(
+            f"{name}, line {table.numbers[0]}: {shown(table.lines[0])} is no point x, y, z; "
+            "accepted are cells separated by commas, semicolons, tabs or white space"
+        )
     names = table.labels(names_line, width) if has_names else _commented(table, width, known)
     if names and not _are_numbers(columns):
         width = len(names)
@@ -321,9 +329,9 @@ def _named(labels: list[str], name: str) -> tuple[int, int, int]:
     # The plain name goes before the others: x, y, z beside lon and lat.
     found = [(bare if axis in bare else axes, axis) for axis in NAMES]
     if any(names.count(axis) != 1 for names, axis in found):
-        shown = f" ({_listed(labels)})" if any(labels) else ""
+        names = f" ({_listed(labels)})" if any(labels) else ""
         raise FileFormatError(
-            f"{name} has {len(labels)} columns{shown}, and which of them are x, y and z is not clear; "
+            f"{name} has {len(labels)} columns{names}, and which of them are x, y and z is not clear; "
             f"{UNDERSTOOD}; or say which they are, for example columns = 0,1,2"
         )
     x, y, z = (names.index(axis) for names, axis in found)

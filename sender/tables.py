@@ -62,6 +62,7 @@ class Table:
         numbers: list[int] = []
         lines: list[str] = []
         comments = []
+        text = text.rstrip("\x1a")  # the end of a file of DOS
         for number, raw in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), 1):
             line = raw.partition("#")[0].strip(" ")
             if line.strip() and not line.startswith(("//", "%")):
@@ -75,7 +76,10 @@ class Table:
             del lines[0], numbers[0]
         if not lines:
             raise FileFormatError(f"{name} is empty; accepted is one point a line, three columns x, y, z")
-        return cls(name, lines, numbers, mark or _mark(lines[:2]), comments)
+        mark = mark or _mark(lines[:2])
+        if mark == "\t" and all(line.startswith(mark) for line in lines):
+            lines = [line[1:] for line in lines]
+        return cls(name, lines, numbers, mark, comments)
 
     def cells(self, row: int) -> list[str]:
         """The cells of a row, without quotes; raises FileFormatError."""
