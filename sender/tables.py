@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -23,6 +24,9 @@ MISSING = frozenset({"", "na", "n/a", "null"})
 
 MARKS = (";", "\t", ",")
 """What may separate cells, beside white space; the comma is last, since it may be the decimal one."""
+
+BLOCK = 256
+"""Lines that are read at once: so many are read cell by cell where NumPy does not read one of them."""
 
 PLAIN = str.maketrans({"\N{MINUS SIGN}": "-", "d": "e", "D": "e"})
 """What makes numbers of Fortran and of typesetters those of everybody else."""
@@ -59,17 +63,16 @@ class Table:
     @classmethod
     def of(cls, text: str, name: str) -> Table:
         """The table in a text; raises FileFormatError where there is none."""
-        numbers: list[int] = []
-        lines: list[str] = []
-        comments = []
         text = text.rstrip("\x1a")  # the end of a file of DOS
-        for number, raw in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), 1):
-            line = raw.partition("#")[0].strip(" ")
-            if line.strip() and not line.startswith(("//", "%")):
-                numbers.append(number)
-                lines.append(line)
-            elif not lines:
-                comments.append(raw.strip().lstrip("#/%").strip())
+        raws = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+        held = [raw.partition("#")[0].strip(" ") for raw in raws]
+        numbers = [
+            number
+            for number, line in enumerate(held, 1)
+            if line and not line.isspace() and not line.startswith(("//", "%"))
+        ]
+        lines = held if len(numbers) == len(held) else [held[number - 1] for number in numbers]
+        comments = [raw.strip().lstrip("#/%").strip() for raw in raws[: numbers[0] - 1 if numbers else 0]]
         mark = None
         if lines and (excel := re.fullmatch(r'"?sep=([;,\t])"?', lines[0])):
             mark = excel[1]
@@ -108,6 +111,8 @@ class Table:
             counts = [len(line.split()) for line in self.lines]
         else:
             counts = [line.count(self.mark) + 1 for line in self.lines]
+        if counts.count(width) == len(counts):
+            return
         for row, count in enumerate(counts):
             if count == width or (self.mark is not None and count < width):
                 continue
@@ -123,27 +128,38 @@ class Table:
 
         `labels` say what the columns are, for errors; raises FileFormatError where a cell is no number.
         """
-        if not any('"' in line for line in self.lines):
+        values = np.empty((len(self.lines), len(use)))
+        left: list[int] = []
+        for start in range(0, len(self.lines), BLOCK):
+            lines = self.lines[start : start + BLOCK]
+            rows = range(start, start + len(lines))
             try:
-                return np.loadtxt(
-                    self.lines, delimiter=self.mark, usecols=use, ndmin=2, dtype=np.float64, comments=None
-                )
+                if '"' in "".join(lines):  # which NumPy takes for a part of the cell
+                    left.extend(rows)
+                else:
+                    values[rows] = np.loadtxt(
+                        lines, delimiter=self.mark, usecols=use, ndmin=2, dtype=np.float64, comments=None
+                    )
             except ValueError:
-                pass  # NumPy does not say which cell of which line of the file
-        return self._columns_cell_by_cell(use, labels)
+                left.extend(rows)  # NumPy does not say which cell of which line of the file
+        if left:
+            values[left] = self._cell_by_cell(left, use, labels)
+        return values
 
-    def _columns_cell_by_cell(self, use: Sequence[int], labels: Sequence[str]) -> FloatArray:
-        rows = []
-        for row in range(len(self.lines)):
+    def _cell_by_cell(self, rows: list[int], use: Sequence[int], labels: Sequence[str]) -> FloatArray:
+        """What `columns` gives, of some rows; it takes the others for numbers without a decimal comma."""
+        flat: list[str] = []
+        for row in rows:
             cells = self.cells(row)
             if len(cells) <= max(use):
                 raise FileFormatError(
                     f"{self.name}, line {self.numbers[row]} has {len(cells)} cells, and {labels[use.index(max(use))]} "
                     f"is to be the one after {max(use)}: {shown(self.lines[row])}"
                 )
-            rows.append([cells[column] for column in use])
-        flat = [cell for cells in rows for cell in cells]
-        comma = "." if self._has_decimal_comma(flat) else ","
+            flat += [cells[column] for column in use]
+        seen = set(rows)
+        beside = (self.cells(row)[column] for row in range(len(self.lines)) if row not in seen for column in use)
+        comma = "." if self._has_decimal_comma(flat, beside) else ","
         plain = "\n".join("nan" if cell.lower() in MISSING else cell for cell in flat)
         plain = plain.translate(PLAIN).replace(",", comma)
         try:
@@ -152,16 +168,17 @@ class Table:
         except ValueError as error:
             for k, cell in enumerate(flat):
                 if cell.lower() not in MISSING and not (is_number(cell) and ("," not in cell or comma == ".")):
+                    line = self.numbers[rows[k // len(use)]]
                     raise FileFormatError(
-                        f"{self.name}, line {self.numbers[k // len(use)]}: {labels[k % len(use)]} is {shown(cell)}, "
-                        f"which is no number{f'; {DECIMAL_COMMAS}' if ',' in cell else ''}"
+                        f"{self.name}, line {line}: {labels[k % len(use)]} is {shown(cell)}, which is no number"
+                        f"{f'; {DECIMAL_COMMAS}' if ',' in cell else ''}"
                     ) from error
             raise FileFormatError(f"{self.name} is not a table of numbers: {error}") from error
 
-    def _has_decimal_comma(self, cells: list[str]) -> bool:
-        """Whether commas in numbers can only be decimal ones."""
+    def _has_decimal_comma(self, cells: list[str], others: Iterable[str]) -> bool:
+        """Whether commas in numbers can only be decimal ones; `others` are those without a comma."""
         commas = [cell for cell in cells if "," in cell]
-        if not commas or any("." in cell for cell in cells):
+        if not commas or any("." in cell for cell in chain(cells, others)):
             return False
         # Where ";" separates cells it does so because the comma is the decimal one.
         return self.mark == ";" or not all(THOUSANDS.fullmatch(cell) for cell in commas)

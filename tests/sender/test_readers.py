@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from common.errors import FileFormatError, LimitError, PointsError, SurfacelinkError
 from sender.readers import parse_points, read_points
+from sender.tables import BLOCK, Table
 from sender.transmission import transmission_id
 
 POINTS = np.array([[0.0, 1.0, 2.5], [3.0, 4.0, -5.0]])
@@ -176,6 +177,46 @@ def test_numbers_are_read_to_the_last_bit_in_either_way() -> None:
     text = "\n".join(",".join(map(repr, point)) for point in points.tolist())
     np.testing.assert_array_equal(parse_points(text.encode(), "a.csv").points, points)
     np.testing.assert_array_equal(parse_points(f'x,y,z,"note"\n{text}'.encode(), "a.csv").points, points)
+
+
+def long_text(row: str, at: int, template: str = "{k};{k};7") -> bytes:
+    """Lines of a table of several blocks, of which one is `row`."""
+    lines = [template.format(k=k) for k in range(3 * BLOCK)]
+    return "\n".join([*lines[:at], row, *lines[at:]]).encode()
+
+
+def test_one_cell_that_numpy_does_not_read_costs_its_block(monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[int] = []
+    cells = Table.cells
+
+    def counted(table: Table, row: int) -> list[str]:
+        read.append(row)
+        return cells(table, row)
+
+    monkeypatch.setattr(Table, "cells", counted)
+    for row, z in (("0;0;", np.nan), ('0;0;"5"', 5.0), ("0;0;5,0", 5.0)):
+        read.clear()
+        values = Table.of(long_text(row, 2 * BLOCK).decode(), "a.csv").columns((0, 1, 2), "xyz")
+        expected = np.array([[k, k, 7.0] for k in range(3 * BLOCK)])
+        np.testing.assert_array_equal(values, np.insert(expected, 2 * BLOCK, [0.0, 0.0, z], axis=0))
+        if "," not in row:
+            assert read == list(range(2 * BLOCK, 3 * BLOCK))
+
+
+@pytest.mark.parametrize("at", [1, BLOCK, 3 * BLOCK - 1])
+def test_what_is_wrong_far_down_is_told_by_its_line(at: int) -> None:
+    with pytest.raises(FileFormatError, match=f"line {at + 1}: y is 'two'"):
+        parse_points(long_text("1;two;3", at), "a.csv", ("0", "1", "2"))
+    with pytest.raises(FileFormatError, match=f"line {at + 1} has 2 cells, and z is to be the one after 2"):
+        parse_points(long_text("1;2", at), "a.csv", ("0", "1", "2"))
+
+
+@pytest.mark.parametrize("at", [1, BLOCK, 3 * BLOCK - 1])
+def test_a_decimal_comma_anywhere_goes_with_no_point_anywhere(at: int) -> None:
+    with pytest.raises(FileFormatError, match=f"line {at + 1}: z is '1,5'"):
+        parse_points(long_text("1;2;1,5", at, "{k};{k};7.0"), "a.csv")
+    cloud = parse_points(long_text("1;2;1,5;no. 0", at, "{k};{k};7;no. {k}"), "a.csv", ("0", "1", "2"))
+    np.testing.assert_array_equal(cloud.points[at], [1, 2, 1.5])
 
 
 @pytest.mark.parametrize("header", ["z,a,b", "x,x,y", "x,lat,long", "lon,lat,height,depth", "y,x,z,z", "y,a,b"])
