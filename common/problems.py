@@ -14,7 +14,7 @@ from common.errors import ParameterError, SurfacelinkError, hint
 
 MEDIA_TYPE = "application/problem+json"
 
-BRANCH = re.compile(r"literal\[|constrained-|(int|float|str|bool)$")
+BRANCH = re.compile(r"literal\[|constrained-|function-|(int|float|str|bool)$")
 """What pydantic puts behind a field's name to say which of several accepted types its complaint is about."""
 
 
@@ -88,7 +88,14 @@ def unknown_parameters(
 
 
 def problem_of_fields(errors: Sequence[Mapping[str, Any]]) -> Problem:
-    """The problem of a request that pydantic refused; the values it met are not repeated.
+    """The problem of a request that pydantic refused, by its errors as `invalid_fields` takes them."""
+    fields = invalid_fields(errors)
+    detail = "; ".join(f"{field.name}: {field.detail}" for field in fields)
+    return problem_of(ParameterError(detail)).model_copy(update={"errors": fields})
+
+
+def invalid_fields(errors: Sequence[Mapping[str, Any]]) -> list[InvalidField]:
+    """Each field that pydantic refused, once; the values it met are not repeated.
 
     Parameters
     ----------
@@ -103,7 +110,7 @@ def problem_of_fields(errors: Sequence[Mapping[str, Any]]) -> Problem:
             message, name = f"not JSON: {error['ctx']['error']} after {name[-1]} characters", []
         label = ".".join(part for part in name if not BRANCH.match(part)) or place
         found.setdefault((place, label), []).append(message)
-    fields = [
+    return [
         InvalidField(
             place=place,
             name=name,
@@ -111,5 +118,3 @@ def problem_of_fields(errors: Sequence[Mapping[str, Any]]) -> Problem:
         )
         for (place, name), messages in found.items()
     ]
-    detail = "; ".join(f"{field.name}: {field.detail}" for field in fields)
-    return problem_of(ParameterError(detail)).model_copy(update={"errors": fields})

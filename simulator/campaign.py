@@ -17,6 +17,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from common.channel import Channel, PointImpairment
 from common.errors import MissingExtraError, NotFoundError, ParameterError
+from common.problems import invalid_fields
 from common.wire import WireOptions
 from sender.features import Extracted
 from sender.readers import NoData
@@ -369,13 +370,11 @@ _TABLES: Mapping[str, type[BaseModel]] = {
 
 def _first_problem(error: ValidationError) -> str:
     """The first problem as one line: the key, what is wrong with it, what is accepted."""
-    first = error.errors(include_url=False)[0]
-    path = [part for part in first["loc"] if not (isinstance(part, str) and part.startswith("function-"))]
-    where = ".".join(map(str, path)) or "the file"
-    message = " ".join(first["msg"].split()).removeprefix("Value error, ").removeprefix("Input ")
+    first, *_ = errors = error.errors(include_url=False)
+    field = invalid_fields([{**each, "loc": ("the file", *each["loc"])} for each in errors])[0]
     if first["type"] == "extra_forbidden":
-        table = _TABLES.get(str(path[0]), Campaign) if len(path) > 1 else Campaign
-        return f"{where} is not a key; accepted are {', '.join(table.model_fields)}"
+        table = _TABLES.get(str(first["loc"][0]), Campaign) if len(first["loc"]) > 1 else Campaign
+        return f"{field.name} is not a key; accepted are {', '.join(table.model_fields)}"
     if first["type"] == "missing":
-        return f"{where} is missing; it is needed"
-    return f"{where}: {message}"
+        return f"{field.name} is missing; it is needed"
+    return f"{field.name}: {' '.join(field.detail.split()).removeprefix('Input ')}"

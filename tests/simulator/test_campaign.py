@@ -263,9 +263,10 @@ def test_points_of_a_file_without_a_height_are_left_out_where_that_is_asked_for(
     assert len({plan(**each).trials()[0].key for each in ({}, {"no_data": -9999}, {"no_data": "nan"})}) == 3
     assert "often stands for none" in notes_of(plan().surfaces[0])[0]
     assert "1 of 201 points have no height" in notes_of(plan(no_data=-9999).surfaces[0])[0]
-    for wrong in ({"surfaces": [{"file": "a.csv", "no_data": "x"}]}, {"surfaces": [{"name": "peaks", "no_data": 1}]}):
-        with pytest.raises(ParameterError, match="no_data"):
-            Campaign.build(PLAN | wrong, folder=tmp_path)
+    with pytest.raises(ParameterError, match=r"surfaces\.0\.no_data: should be 'nan', or a valid number"):
+        plan(no_data="x")
+    with pytest.raises(ParameterError, match="no_data belongs to a file"):
+        Campaign.build(PLAN | {"surfaces": [{"name": "peaks", "no_data": 1}]}, folder=tmp_path)
 
 
 def test_the_transmissions_of_named_surfaces_are_those_of_the_published_campaigns() -> None:
