@@ -51,6 +51,10 @@ class Order(BaseModel):
     )
 
 
+OF_FILES = ("columns", "no_data", "xy_unit", "z_unit")
+"""Settings of an order that say how a file is read."""
+
+
 @dataclass(frozen=True)
 class Prepared:
     """An order carried out up to the packets."""
@@ -85,6 +89,9 @@ def prepare(order: Order, upload: tuple[str, Callable[[], Cloud]] | None = None)
     gap: float | None
     notes: tuple[str, ...] = ()
     if order.surface is not None and upload is None:
+        idle = [key for key in OF_FILES if getattr(order, key) != Order.model_fields[key].default]
+        if idle:
+            raise ParameterError(f"{', '.join(idle)}: for a file of points alone; {order.surface} is a surface by name")
         surface = find_surface(order.surface)
         cloud = surface.sample(np.random.default_rng(order.seed), order.points)
         name, region, units, gap = surface.name, surface.region, surface.units, order.gap or surface.gap

@@ -108,6 +108,7 @@ def environment(workers: int) -> Mapping[str, str | int | None]:
 def plan_of_options(
     *,
     surface: list[str] | None,
+    columns: str | None,
     no_data: str | None,
     channel: list[str] | None,
     method: list[str] | None,
@@ -120,10 +121,16 @@ def plan_of_options(
     grid: str | None,
     rounds: int | None,
 ) -> dict[str, Any]:
-    """The keys of a campaign that options give; files are relative to where the command runs."""
+    """The keys of a campaign that options give; files are relative to where the command runs.
+
+    Raises ParameterError where an option is out of place.
+    """
     plan: dict[str, Any] = {}
+    labels = None if columns is None else [label.strip() for label in columns.split(",")]
+    reading = {key: value for key, value in {"columns": labels, "no_data": no_data}.items() if value is not None}
+    if reading and not any(map(names_file, surface or ())):
+        raise ParameterError("--columns and --no-data go with a file of points that --surface names")
     if surface:
-        reading = {} if no_data is None else {"no_data": no_data}
         plan["surfaces"] = [{"file": Path(name).absolute()} | reading if names_file(name) else name for name in surface]
     features = {"points": points, "gap": gap, "pieces": pieces, "budget": budget}
     given = {key: value for key, value in features.items() if value is not None}
@@ -170,6 +177,10 @@ def sweep_command(
         list[str] | None,
         typer.Option(metavar="NAME|FILE", help="A surface (`sender surfaces` lists them), or points; may be repeated."),
     ] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,Z", help="Columns of files, by name or number from 0, for example lon,lat,depth."),
+    ] = None,
     no_data: Annotated[
         str | None,
         typer.Option(
@@ -214,6 +225,7 @@ def sweep_command(
     # The help is HELP, which names the plan that is the default.
     overrides = plan_of_options(
         surface=surface,
+        columns=columns,
         no_data=no_data,
         channel=channel,
         method=method,

@@ -41,6 +41,7 @@ def campaign(**changes: object) -> Campaign:
 def options_of(**given: Any) -> dict[str, Any]:
     names = (
         "surface",
+        "columns",
         "no_data",
         "channel",
         "method",
@@ -395,6 +396,17 @@ def test_a_grid_is_rows_and_columns_or_one_number_for_both(text: str, grid: tupl
 def test_a_grid_that_is_none_is_told_what_one_is(text: str) -> None:
     with pytest.raises(ParameterError, match="--grid is rows x columns, for example 64x48"):
         options_of(grid=text)
+
+
+def test_options_say_how_files_are_read(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("Depth,a,b\n1,2,3\n4,5,7\n,6,6\n")
+    plan = campaign(**options_of(surface=["peaks", str(tmp_path / "a.csv")], columns="a, b,depth", no_data="nan"))
+    _, choice = plan.surfaces
+    assert (choice.columns, choice.no_data) == (("a", "b", "depth"), "nan")
+    assert notes_of(choice) == ("a.csv: 1 of 3 points have no height and are left out",)
+    for wrong in ({"no_data": "nan"}, {"surface": ["peaks"], "columns": "0,1,2"}):
+        with pytest.raises(ParameterError, match="--columns and --no-data go with a file"):
+            options_of(**wrong)
 
 
 def test_the_help_names_the_campaign_that_runs_without_a_file() -> None:
