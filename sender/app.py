@@ -188,7 +188,7 @@ def surfaces() -> list[SurfaceOut]:
                         "type": "object",
                         "required": ["file"],
                         "properties": {
-                            "file": {"type": "string", "format": "binary", "description": "csv, txt, xyz or npy"},
+                            "file": {"type": "string", "format": "binary", "description": "csv, txt, xyz, asc or npy"},
                             "order": {"type": "string", "description": "The same JSON as the other kind of body."},
                         },
                     }

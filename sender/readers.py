@@ -25,8 +25,20 @@ NoData: TypeAlias = Literal["nan"] | float
 NO_HEIGHTS = frozenset({-9999.0, -99999.0, -32768.0, -32767.0, 9999.0, 99999.0})
 """Heights that geographic software writes where there is none, beside the largest of float32."""
 
-FORMATS = (".csv", ".txt", ".xyz", ".npy")
+FORMATS = (".csv", ".txt", ".xyz", ".asc", ".npy")
 """Endings that are understood; the text formats also compressed, as .gz or .xz."""
+
+WAYS: Mapping[str, str] = {
+    ".npz": "numpy.save of numpy.column_stack([x, y, z]) makes .npy of its arrays",
+    **dict.fromkeys((".tif", ".tiff", ".hgt", ".nc", ".grd"), "gdal_translate -of AAIGrid makes .asc of it"),
+    **dict.fromkeys((".las", ".laz"), "pdal translate makes .csv of it"),
+}
+"""Ending of a file that is not read -> what makes one of it that is."""
+
+GRID = re.compile(
+    r"\s*(ncols|nrows|xllcorner|xllcenter|yllcorner|yllcenter|cellsize|dx|dy|nodata_value)\s+(\S+)", re.IGNORECASE
+)
+"""What an ESRI ASCII grid begins with, several times; dx and dy are GDAL's where cells are not square."""
 
 UNPACKERS: Mapping[str, Callable[[io.BytesIO], io.BufferedIOBase]] = MappingProxyType(
     {".gz": lambda data: gzip.GzipFile(fileobj=data), ".xz": lzma.LZMAFile}
@@ -92,15 +104,15 @@ def parse_points(
     name : str
         Tells the format by its ending: .npy holds an array of shape (n, 3); .csv, .txt and .xyz hold a point a line,
         columns separated by commas, semicolons or white space, with or without a line of names, which may be a
-        comment; "#" starts one, as do "%" and "//" at the start of a line. The text formats may be compressed (.gz,
-        .xz).
+        comment; "#" starts one, as do "%" and "//" at the start of a line. Or, as .asc mostly does, an ESRI ASCII grid,
+        whose points are the centres of its cells. The text formats may be compressed (.gz, .xz).
     columns : three names, optional
         Which columns are x, y and z: numbers counted from 0, in a text file also names, in any case, with or without
         the unit. By default the columns called x, y, z or another of `NAMES`; of three columns the one left; the only
         three, where no name contradicts that. A note says so where a name was not known.
     no_data : number or "nan", optional
-        Leaves out the points whose height is this number (to the seven digits of a float32), missing or NaN; "nan" is
-        no number beside those.
+        Leaves out the points whose height is this number (to the seven digits of a float32), missing, NaN or a grid's
+        NODATA_value; "nan" is no number beside those.
     most : int, optional
         Most points accepted; more are refused before they are read.
 
@@ -116,7 +128,8 @@ def parse_points(
     data, name = _unpacked(data, name)
     suffix = Path(name).suffix.lower()
     if suffix not in FORMATS:
-        raise FileFormatError(f"cannot tell the format of {name!r}; accepted endings are {', '.join(FORMATS)}")
+        way = f"{suffix} is not read; {WAYS[suffix]}" if suffix in WAYS else f"cannot tell the format of {name!r}"
+        raise FileFormatError(f"{way}; accepted endings are {', '.join(FORMATS)}")
     if suffix == ".npy":
         return _cloud(_parse_npy(data, name, columns, most), lambda row: f"row {row}, counted from 0", name, no_data)
     points, numbers, notes = _parse_text(data, name, columns, most)
@@ -130,11 +143,11 @@ def _cloud(values: np.ndarray[Any, Any], place: Callable[[int], str], name: str,
     z = points[:, 2]
     missing = np.isnan(z)
     if no_data is not None:
-        missing |= np.isclose(z, float(no_data), rtol=1e-7, atol=0.0)
+        missing |= _stands_for_none(z, float(no_data))
     elif missing.any():
         raise PointsError(
-            f"{name}: {np.count_nonzero(missing)} of {len(z)} points have no height (an empty cell, NaN), the first on "
-            f"{place(int(missing.argmax()))}; --no-data nan (as JSON and TOML: no_data) leaves them out"
+            f"{name}: {np.count_nonzero(missing)} of {len(z)} points have no height (an empty cell, NaN, NODATA), the "
+            f"first on {place(int(missing.argmax()))}; --no-data nan (as JSON and TOML: no_data) leaves them out"
         )
     kept = np.flatnonzero(~missing)
     if len(z) and not len(kept):
@@ -157,6 +170,10 @@ def _cloud(values: np.ndarray[Any, Any], place: Callable[[int], str], name: str,
         if end in NO_HEIGHTS or 1e38 <= abs(end) < 4e38
     ]
     return Cloud(points, tuple(notes))
+
+
+def _stands_for_none(z: FloatArray, no_data: float) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    return np.isclose(z, no_data, rtol=1e-7, atol=0.0)  # many heights were a float32
 
 
 def _parse_npy(data: bytes, name: str, columns: Sequence[str] | None, most: int | None) -> np.ndarray[Any, Any]:
@@ -222,6 +239,10 @@ def _parse_text(
     if "\0" in text:
         line = text.count("\n", 0, text.index("\0")) + 1
         raise FileFormatError(f"{name} is not text in UTF-8: a zero byte on line {line}")
+    if GRID.match(text):
+        if columns is not None:
+            raise FileFormatError(f"{name} is a grid of heights, which has no columns to choose from")
+        return *_parse_grid(text, name, most), []
     table = Table.of(text, name)
     known = frozenset().union(*NAMES.values(), (_bare(label) for label in columns or ()))
     has_names = _are_names(table.cells(0), known)
@@ -247,6 +268,45 @@ def _parse_text(
         found = ", ".join(names[k] for k in use)
         notes.append(f"{name}: x, y, z are taken from the columns {found}; --columns takes others")
     return table.columns(use, tuple(NAMES)), table.numbers, notes
+
+
+def _parse_grid(text: str, name: str, most: int | None) -> tuple[FloatArray, list[int]]:
+    """Centres of the cells of an ESRI ASCII grid, as `_parse_text` gives points, row by row from the north."""
+    keys, values, numbers, end = [], [], [], 0
+    while found := GRID.match(text, end):
+        keys.append(found[1].lower())
+        values.append(found[2])
+        numbers.append(text.count("\n", 0, found.start(2)) + 1)
+        end = found.end()
+    for number, line in enumerate(text[end:].rstrip("\x1a").split("\n"), numbers[-1]):
+        cells = line.split()
+        values += cells
+        numbers += [number] * len(cells)
+    _check_count(len(values) - len(keys), name, most)
+    read = Table(name, values, numbers, None, []).columns((0,), ("a value",))[:, 0]
+    header, z = dict(zip(keys, read.tolist(), strict=False)), read[len(keys) :]
+
+    def of(*accepted: str) -> tuple[str, float]:
+        for key in accepted:
+            if key in header:
+                return key, header[key]
+        raise FileFormatError(f"{name} has no {' or '.join(accepted)} before the heights of its grid")
+
+    rows, columns = of("nrows")[1], of("ncols")[1]
+    if min(rows, columns) < 1 or rows % 1 or columns % 1 or rows * columns != len(z):
+        raise FileFormatError(
+            f"{name} holds {len(z)} heights where nrows {rows:.9g} x ncols {columns:.9g} are expected"
+        )
+    axes = []
+    for axis, count in (("x", columns), ("y", rows)):
+        step = of(f"d{axis}", "cellsize")[1]
+        if not step > 0:
+            raise FileFormatError(f"{name}: the side of a cell must be a positive number, got {step:g}")
+        key, first = of(f"{axis}llcorner", f"{axis}llcenter")
+        axes.append(first + (np.arange(count) + (0.5 if key.endswith("corner") else 0.0)) * step)
+    x, y = np.meshgrid(axes[0], axes[1][::-1])
+    z = np.where(_stands_for_none(z, header.get("nodata_value", np.nan)), np.nan, z)
+    return np.column_stack([x.ravel(), y.ravel(), z]), numbers[len(keys) :]
 
 
 def _are_numbers(columns: Sequence[str] | None) -> bool:

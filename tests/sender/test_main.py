@@ -57,7 +57,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *ar
         (["line.csv"], "one line"),
         (
             ["nan.csv"],
-            "nan.csv: 1 of 3 points have no height (an empty cell, NaN), the first on line 1; --no-data nan",
+            "nan.csv: 1 of 3 points have no height (an empty cell, NaN, NODATA), the first on line 1; --no-data nan",
         ),
         (["nan.csv", "--no-data", "nan"], "2 point(s) given"),
         (["surface-1", "--no-data", "0", "--xy-unit", "m"], "no_data, xy_unit: for a file of points alone; surface-1"),

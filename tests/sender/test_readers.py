@@ -81,6 +81,8 @@ def test_a_header_that_promises_too_many_points_is_enough_to_refuse_a_file() -> 
     ("data", "name", "message"),
     [
         (TEXT, "a.dat", "accepted endings are .csv"),
+        (b"", "a.npz", r"\.npz is not read; numpy.save of .* makes .npy of its arrays; accepted endings are"),
+        (b"", "a.TIF", r"\.tif is not read; gdal_translate -of AAIGrid"),
         (b"", "a.csv", "empty"),
         (b"# nothing\n", "a.csv", "empty"),
         (b"1,2,3\n1,2\n", "a.csv", "line 2 has 2 cells"),
@@ -360,6 +362,73 @@ def test_heights_that_look_like_none_are_kept_and_told() -> None:
     cloud = parse_points(b"0,1,2.5\n7,8,-9999\n3,4,-5\n7,8,-9999\n", "a.csv")
     assert len(cloud.points) == 4
     assert cloud.notes == ("a.csv: 2 heights are -9999, which often stands for none; --no-data -9999 leaves them out",)
+
+
+GRID = """ncols 3
+nrows 2
+xllcorner 10
+yllcorner -1
+cellsize 2
+NODATA_value -9999
+1 2 3
+4 -9999 6
+"""
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        GRID,
+        GRID.replace("\n", "\r\n") + "\x1a",
+        GRID.replace("\n", "\r"),
+        GRID.upper().replace("XLLCORNER 10", "XLLCENTER 11").replace("YLLCORNER -1", "YLLCENTER 0"),
+        GRID.replace("cellsize 2", "dx 2\ndy 2.0"),
+        "\n" + GRID.replace(" ", "  \t ").replace("10", "10,0"),
+        GRID.replace("2 3\n4", "2\n3 4"),  # a row may end anywhere
+        GRID.replace("nrows 2\n", "").replace("ncols 3", "nrows 2\nncols 3"),
+        GRID.replace("4 -9999", "4 nan").replace("NODATA_value -9999\n", ""),
+    ],
+)
+def test_a_grid_gives_the_centres_of_its_cells(text: str) -> None:
+    points = [[11, 2, 1], [13, 2, 2], [15, 2, 3], [11, 0, 4], [15, 0, 6]]
+    for name in ("a.asc", "a.txt"):
+        cloud = parse_points(text.encode(), name, no_data="nan")
+        np.testing.assert_array_equal(cloud.points, points)
+        assert cloud.notes == (f"{name}: 1 of 6 points have no height and are left out",)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("", "", "1 of 6 points have no height .* the first on line 8; --no-data nan"),
+        ("2 3", "2 three", "line 7: a value is 'three', which is no number"),
+        ("cellsize 2", "cellsize two", "line 5: a value is 'two'"),
+        ("ncols 3", "ncols 4", "holds 6 heights where nrows 2 x ncols 4 are expected"),
+        ("ncols 3\nnrows 2", "ncols -3\nnrows -2", "nrows -2 x ncols -3"),
+        ("ncols 3\nnrows 2", "ncols 2.5\nnrows 2.4", "nrows 2.4 x ncols 2.5"),
+        ("nrows 2\n", "", "has no nrows before"),
+        ("yllcorner -1\n", "", "has no yllcorner or yllcenter before"),
+        ("cellsize 2\n", "dx 2\n", "has no dy or cellsize before"),
+        ("cellsize 2", "cellsize 0", "a positive number, got 0"),
+        ("cellsize 2", "cellsize nan", "a positive number, got nan"),
+        ("NODATA_value -9999", "xllcorner inf", "line 7: x is missing, NaN or infinite"),
+        (GRID, "ncols 3", "holds 0 heights|has no nrows"),
+    ],
+)
+def test_a_grid_that_is_none_is_told(old: str, new: str, message: str) -> None:
+    with pytest.raises((FileFormatError, PointsError), match=message):
+        parse_points(GRID.replace(old, new).encode(), "a.asc")
+
+
+def test_a_grid_has_no_columns_and_no_more_points_than_asked_for() -> None:
+    with pytest.raises(FileFormatError, match="no columns to choose from"):
+        parse_points(GRID.encode(), "a.asc", ("0", "1", "2"))
+    with pytest.raises(LimitError, match="holds 6 points; at most 5"):
+        parse_points(GRID.encode(), "a.asc", most=5)
+
+
+def test_points_in_a_file_of_grids_are_read() -> None:
+    np.testing.assert_array_equal(parse_points(b"0 1 2.5\n3 4 -5\n", "a.asc").points, POINTS)
 
 
 def test_a_file_without_any_height_says_so() -> None:
