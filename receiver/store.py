@@ -17,8 +17,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
+from tempfile import TemporaryFile
 from types import TracebackType
-from typing import Any, Self
+from typing import IO, Any, Self
 from zipfile import BadZipFile
 
 import numpy as np
@@ -385,8 +386,9 @@ class Store:
     def _hold_reserve(self) -> None:
         """Hold room back, unless that is done or there is none."""
         try:
-            if not self._reserve.exists():
-                _write(self._reserve, RESERVE)
+            if not self._reserve.exists() or self._reserve.stat().st_size != RESERVE:
+                with self._reserve.open("wb") as file:
+                    _write(file, RESERVE)
         except OSError:
             with suppress(OSError):
                 self._reserve.unlink(missing_ok=True)
@@ -395,19 +397,15 @@ class Store:
         """Raise StoreError unless the store takes a small write, and the disk has room for more."""
         with self._transaction() as db:
             db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
-        probe = self.path.with_name("receiver.probe")
         try:
-            try:
+            with TemporaryFile(dir=self.path.parent) as probe:
                 _write(probe, PROBE)
-            finally:
-                probe.unlink(missing_ok=True)
         except OSError as error:
-            raise StoreError(f"the data folder cannot be written: {error.strerror}") from error
+            raise StoreError(f"the data folder cannot be written: {error.strerror or error}") from error
 
 
-def _write(path: Path, length: int) -> None:
-    """Write and sync `length` bytes; raises OSError."""
-    with path.open("wb") as file:
-        file.write(bytes(length))
-        file.flush()
-        os.fsync(file.fileno())
+def _write(file: IO[bytes], length: int) -> None:
+    """Write and sync `length` bytes that take as much room where the disk compresses; raises OSError."""
+    file.write(np.random.default_rng(0).bytes(length))
+    file.flush()
+    os.fsync(file.fileno())
