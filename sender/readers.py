@@ -272,13 +272,14 @@ def _parse_text(
 
 def _parse_grid(text: str, name: str, most: int | None) -> tuple[FloatArray, list[int]]:
     """Centres of the cells of an ESRI ASCII grid, as `_parse_text` gives points, row by row from the north."""
-    keys, values, numbers, end = [], [], [], 0
+    keys, values, numbers, end, line_number = [], [], [], 0, 1
     while found := GRID.match(text, end):
+        line_number += text.count("\n", end, found.start(2))
         keys.append(found[1].lower())
         values.append(found[2])
-        numbers.append(text.count("\n", 0, found.start(2)) + 1)
+        numbers.append(line_number)
         end = found.end()
-    for number, line in enumerate(text[end:].rstrip("\x1a").split("\n"), numbers[-1]):
+    for number, line in enumerate(text[end:].rstrip("\x1a").split("\n"), line_number):
         cells = line.split()
         values += cells
         numbers += [number] * len(cells)
@@ -369,7 +370,7 @@ def _columns(names: list[str], wanted: Sequence[str] | None, name: str) -> tuple
 
 def _places(label: str, names: list[str]) -> list[int]:
     """Where a column stands that is told by a number counted from 0, its name, or its name without the unit."""
-    if label.isdecimal() and int(label) < len(names):
+    if label.isdecimal() and len(label) < 10 and int(label) < len(names):  # Python reads no number of any length
         return [int(label)]
     whole = [k for k, other in enumerate(names) if other.lower() == label]
     return whole or [k for k, other in enumerate(names) if _bare(other) == label != ""]

@@ -13,7 +13,7 @@ import numpy as np
 from common.errors import FileFormatError
 from common.surface import FloatArray
 
-NUMBER = re.compile(r"[+-]?([0-9]+[.,]?[0-9]*|[.,][0-9]+)([eEdD][+-]?[0-9]+)?|[+-]?(?i:nan|inf|infinity)")
+NUMBER = re.compile(r"[+-]?([0-9]+([.,][0-9]*)?|[.,][0-9]+)([eEdD][+-]?[0-9]+)?|[+-]?(?i:nan|inf|infinity)")
 """A number as programs write it: with a decimal point or comma, with an exponent of Fortran's, or a word for it."""
 
 THOUSANDS = re.compile(r"[+-]?[0-9]{1,3},[0-9]{3}")
@@ -98,7 +98,7 @@ class Table:
         except csv.Error:
             return []
         # A unit belongs to the name before it.
-        words = re.split(r"[,;\s]+", re.sub(r"\s+(?=[(\[])", "", text.strip()))
+        words = re.split(r"[,;\s]+", " ".join(text.split()).replace(" (", "(").replace(" [", "["))
         return words if len(words) == width and (self.mark is None or len(cells) != width) else cells
 
     def after_names(self) -> Table:

@@ -307,6 +307,25 @@ def test_the_columns_of_an_array_are_taken_by_number() -> None:
         parse_points(array, "a.npy", ("x", "3", "0"))
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"# x" + b" " * 20_000 + b"y\n1,2,3\n",
+        b"1,2,3\n4,5," + b"9" * 20_000 + b"x\n",
+        b"ncols 1\n" * 20_000,
+    ],
+)
+def test_long_runs_are_read_once(text: bytes) -> None:
+    # With a pattern that goes back over them these took minutes at 100 kB.
+    with contextlib.suppress(SurfacelinkError):
+        parse_points(text, "a.csv")
+
+
+def test_a_column_of_thousands_of_digits_is_none() -> None:
+    with pytest.raises(FileFormatError, match="is none of the file's columns"):
+        parse_points(TEXT, "a.csv", ("9" * 5000, "0", "1"))
+
+
 def test_columns_that_are_not_there_are_named() -> None:
     with pytest.raises(FileFormatError, match=r"'depth' is none of .*x, y, z"):
         parse_points(TEXT, "a.csv", ("x", "y", "depth"))
