@@ -13,6 +13,7 @@ import typer
 import uvicorn
 from pydantic import ValidationError
 from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from common.channel import Channel
@@ -40,6 +41,12 @@ app = typer.Typer(
 )
 console = Console()
 DEFAULTS = Settings.model_construct()
+
+WORTH_TELLING = 2.0
+"""Seconds from which on it is said how long the channel takes."""
+
+STEPS = 200
+"""Parts that the wait for a channel is drawn in."""
 
 
 @app.command()
@@ -123,10 +130,14 @@ def send(
         str,
         typer.Option(
             metavar="SPEC",
-            help='Channel that harms the packets on their way, such as "gaussian:std=0.1,axes=xyz;erasure:p=0.05".',
+            help='Channel that harms the packets on their way, such as "gaussian:std=0.1,axes=xyz;erasure:p=0.05". One '
+            "of a rate or a delay takes its time in earnest: how long is said before it starts.",
         ),
     ] = "",
     channel_seed: Annotated[int | None, typer.Option(help="Seed of the channel. (that of the channel, else 0)")] = None,
+    virtual_time: Annotated[
+        bool, typer.Option("--virtual-time", help="Say how long the channel takes, and do not wait for it.")
+    ] = False,
     wait: Annotated[bool, typer.Option("--wait", help="Wait until the receiver has trained its network.")] = False,
 ) -> None:
     """Send a surface, or a file of points, to a receiver."""
@@ -165,7 +176,9 @@ def send(
         f"{len(prepared.packets)} packets, {prepared.cost.total} bytes"
         + (f", {prepared.cost.protection} of them for protection" if prepared.cost.protection else "")
     )
-    sent, trained = anyio.run(_send, prepared, order, receiver, harm, wait)
+    sleep = _say_how_long if virtual_time else _wait_for_channel
+    transport = ChannelTransport(httpx.AsyncHTTPTransport(), harm, sleep=sleep) if harm else None
+    sent, trained = anyio.run(_send, prepared, order, receiver, transport, wait)
     counts = sent.receipt.packets
     # A receiver that nothing reached does not know how much there was.
     total = len(prepared.packets) if counts.total is None else counts.total
@@ -198,10 +211,38 @@ def _told(surface: Mapping[str, Any]) -> list[str]:
     return lines + [f"network: {note}" for note in network.get("notes", ())]
 
 
+async def _say_how_long(seconds: float) -> None:
+    """Say how long the channel takes, where that is long enough to wonder."""
+    if seconds >= WORTH_TELLING:
+        console.print(f"the channel takes about {duration(seconds)}", highlight=False, soft_wrap=True)
+
+
+async def _wait_for_channel(seconds: float) -> None:
+    """Wait for the channel; where that is long, with a word before and a bar meanwhile."""
+    await _say_how_long(seconds)
+    if seconds < WORTH_TELLING:
+        await anyio.sleep(seconds)
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        for _ in bar.track(range(STEPS), description="on the air"):
+            await anyio.sleep(seconds / STEPS)
+
+
+def duration(seconds: float) -> str:
+    """Seconds as people say them, to the second.
+
+    >>> duration(4.6), duration(1326.4), duration(7380)
+    ('5 s', '22 min 6 s', '2 h 3 min 0 s')
+    """
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return (f"{hours} h " if hours else "") + (f"{minutes} min " if hours or minutes else "") + f"{rest} s"
+
+
 async def _send(
-    prepared: Prepared, order: Order, receiver: str, channel: Channel, wait: bool
+    prepared: Prepared, order: Order, receiver: str, transport: ChannelTransport | None, wait: bool
 ) -> tuple[Sent, Mapping[str, Any]]:
-    transport = ChannelTransport(httpx.AsyncHTTPTransport(), channel) if channel else None
     async with ReceiverClient.connect(receiver, transport) as client:
         sent = await deliver(prepared, order, client)
         return sent, await client.wait_ready(prepared.id) if wait else {}

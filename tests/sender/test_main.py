@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import sys
 import warnings
 from pathlib import Path
 from typing import Any
+from unittest.mock import AsyncMock
 
+import anyio
 import httpx
 import pytest
 
-from sender.__main__ import main
+from sender.__main__ import _wait_for_channel, duration, main
 from sender.client import ReceiverClient, RetryPolicy, Sent
 
 SUMMARY = {"outliers": [3, 7], "notes": ["the spread [narrowest] stays"]}
@@ -207,3 +210,53 @@ def test_where_nothing_arrived_all_packets_are_missing(
     status, out, _ = run(monkeypatch, capsys, "send", "surface-1", *NOWHERE)
     assert status == 0
     assert "receiver: 0 of 2 packets, 0 damaged, 0 duplicate, 0 rebuilt, 2 missing, 0 sent again" in out
+
+
+@pytest.mark.parametrize("options", [[], ["--virtual-time"]])
+def test_how_long_a_channel_takes_is_said_before_it_starts(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], options: list[str]
+) -> None:
+    slept: list[float] = []
+    said: list[str] = []
+    counts: dict[str, Any] = {"received": 9, "damaged": 0, "duplicate": 0, "total": 9, "missing": []}
+    receipt = {"id": "a", "points": 50, "complete": True, "state": "training", "packets": counts}
+
+    async def sleep(seconds: float) -> None:
+        if not slept:
+            said.append(capsys.readouterr().out)
+        slept.append(seconds)
+
+    monkeypatch.setattr("sender.__main__.anyio.sleep", sleep)
+    monkeypatch.setattr(
+        "sender.__main__.httpx.AsyncHTTPTransport",
+        lambda: httpx.MockTransport(lambda _: httpx.Response(202, json=receipt)),
+    )
+    status, out, _ = run(
+        monkeypatch, capsys, "send", "surface-1", "--channel", "rate:bits_per_second=2", "--datagram", "64",
+        *options, *NOWHERE,
+    )  # fmt: skip
+    assert status == 0
+    before = out if options else said[0]
+    assert re.search(r"\nthe channel takes about \d+ min \d+ s\n", before)
+    assert "receiver: " not in before.partition("the channel takes")[0]
+    (minutes, seconds) = re.findall(r"about (\d+) min (\d+) s", before)[0]
+    assert sum(slept) == pytest.approx(0 if options else 60 * int(minutes) + int(seconds), abs=0.6)
+
+
+def test_a_quick_channel_is_not_worth_a_word(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sleep = AsyncMock()
+    monkeypatch.setattr("sender.__main__.anyio.sleep", sleep)
+    anyio.run(_wait_for_channel, 0.3)
+    sleep.assert_awaited_once_with(0.3)
+    assert capsys.readouterr().out == ""
+
+
+def test_durations_are_said_as_people_say_them() -> None:
+    assert [duration(seconds) for seconds in (4.6, 59.7, 1326.4, 7380.0)] == [
+        "5 s",
+        "1 min 0 s",
+        "22 min 6 s",
+        "2 h 3 min 0 s",
+    ]
