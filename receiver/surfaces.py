@@ -204,8 +204,8 @@ class Surfaces:
                 fate = reassembly.add(packet)
             except ConflictError as error:
                 raise ConflictError(
-                    f"{error}; an earlier transmission under this id holds other points: take another id, or remove it "
-                    f"first (DELETE /v1/surfaces/{name})"
+                    f"{error}; this id is taken by an earlier transmission: take another id, or remove it first "
+                    f"(DELETE /v1/surfaces/{name})"
                 ) from error
             fates[fate] += 1
             if fate == "new":

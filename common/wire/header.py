@@ -138,6 +138,31 @@ class Header:
         """What must agree between packets of one transmission, whatever happened to their points."""
         return (self.tag, self.total, self.parity, self.region, self.gap, self.kind, self.units)
 
+    def described(self) -> dict[str, str]:
+        """All of it for people, by name; of points that were altered not how they were written."""
+        about = {
+            "packets": str(self.total),
+            "packets of parity": str(self.parity),
+            "region": ",".join(map(str, self.region.bounds)),
+            "segment gap": "none" if self.gap is None else str(self.gap),
+            "kind": self.kind,
+            "unit of x and y": self.units.xy or "none",
+            "unit of z": self.units.z or "none",
+        }
+        if self.altered:
+            return about
+        grid, coding = self.grid, self.form.name.lower().replace("_", " ")
+        if grid is None:
+            return about | {"precision": coding}
+        written = {"precision": f"{grid.height_bits} bits", "coding": coding.replace("quantised", "plain")}
+        written["bits of a position"] = str(grid.position_bits)
+        for name, box in (("x", grid.x), ("y", grid.y), ("heights", grid.z)):
+            written[f"range of {name}"] = "that of the region" if box is None else "{} to {}".format(*box.bounds)
+        if grid.cells is not None:
+            written["cells"] = f"{grid.cells.rows} x {grid.cells.columns}"
+            written["lattice"] = "of centres" if grid.centred else "from edge to edge"
+        return about | written
+
     def as_altered(self) -> Header:
         """The header of a packet whose points were changed on the way."""
         return replace(self, form=Form.FLOAT64, grid=None, altered=True)

@@ -46,8 +46,8 @@ class Reassembly:
         Raises
         ------
         ConflictError
-            If the packet describes another feature set than those before it, or has other points than its copy
-            although neither was altered on the way.
+            If the packet says something else of the transmission than those before it, or has other points than its
+            copy although neither was altered on the way.
         LimitError
             If there are more points in all than are accepted.
         """
@@ -170,13 +170,14 @@ def _rank(packet: Packet) -> tuple[bool, int, bytes]:
 
 
 def _require_agreement(known: Header, other: Header) -> None:
-    if known.about() != other.about():
-        raise ConflictError(
-            f"a packet belongs to another feature set: it says {other.total} packets over {other.region.bounds}, those "
-            f"before it {known.total} over {known.region.bounds}"
-        )
-    if not known.altered and not other.altered and (known.form, known.grid) != (other.form, other.grid):
-        raise ConflictError("a packet writes its points in another form than those before it")
+    altered = known.altered or other.altered
+    if known.about() == other.about() and (altered or (known.form, known.grid) == (other.form, other.grid)):
+        return
+    before, now = known.described(), other.described()
+    differing = [
+        f"{name} {now[name]} instead of {before[name]}" for name in before if name in now and before[name] != now[name]
+    ]
+    raise ConflictError(f"a packet does not go with those before it: {', '.join(differing)}")
 
 
 def _require_same_points(known: Packet, other: Packet) -> None:

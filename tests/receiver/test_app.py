@@ -258,7 +258,7 @@ async def test_other_features_under_the_same_id_conflict_and_leave_it_as_it_was(
     before = (await client.get("/v1/surfaces/hills/features")).content
     other = FeatureSet(features.points * 2, Region(-4, 4, -2, 2))
     conflict = await client.transmit("hills", b"".join(encode(other, transmission="hills")))
-    assert_problem(conflict, 409, "another feature set")
+    assert_problem(conflict, 409, "region -4.0,4.0,-2.0,2.0 instead of -2.0,2.0,-1.0,")
     assert_problem(conflict, 409, "take another id, or remove it first (DELETE /v1/surfaces/hills)")
     assert_problem(await client.transmit("hills", b"".join(packets_of(features, "dales"))), 409, "another transmission")
     assert (await client.get("/v1/surfaces/hills/features")).content == before
