@@ -207,7 +207,9 @@ async def get_grid(
     bbox: Annotated[
         str | None, Query(description="x_min,y_min,x_max,y_max within the region; all of it unless given.")
     ] = None,
-    std: Annotated[bool, Query(description="Also the standard deviation of the heights.")] = False,
+    std: Annotated[
+        bool, Query(description="Also the standard deviation of the heights; in a picture, instead of them.")
+    ] = False,
     form: GridForm = None,
     wait: Wait = 0.0,
     palette: Annotated[Palette, Query(description="Colours of a picture.")] = "viridis",

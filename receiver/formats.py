@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
 import msgpack
@@ -37,7 +37,7 @@ class GridAnswer:
         The surface.
     grid : HeightGrid
     std : ndarray, shape (rows, columns), or None
-        Standard deviation of the heights, in the units of z, where it was asked for.
+        Standard deviation of the heights, in the units of z, where it was asked for; a picture shows it in their place.
     style : Style
         How a picture of it looks.
     """
@@ -193,7 +193,12 @@ def _grid_msgpack(answer: GridAnswer) -> Iterator[bytes]:
 
 
 def _grid_png(answer: GridAnswer) -> Iterator[bytes]:
-    yield picture(answer.grid, answer.name, answer.style)
+    if answer.std is None:
+        yield picture(answer.grid, answer.name, answer.style)
+        return
+    # Light tells slopes of the ground; a deviation has none.
+    deviations = HeightGrid(answer.grid.x, answer.grid.y, answer.std, answer.grid.units)
+    yield picture(deviations, answer.name, replace(answer.style, shading=False), "standard deviation")
 
 
 def _grid_tif(answer: GridAnswer) -> Iterator[bytes]:

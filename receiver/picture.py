@@ -108,8 +108,8 @@ def _plain(axes: Axes) -> None:
         spine.set_visible(False)
 
 
-def framed(grid: HeightGrid, name: str, style: Style) -> bytes:
-    """The relief with axes, contour lines, title and colour bar, as PNG."""
+def framed(grid: HeightGrid, name: str, style: Style, quantity: str = "height") -> bytes:
+    """The relief with axes, contour lines, title and a colour bar of the `quantity`, as PNG."""
     region, units = grid.region, grid.units
     low, high = float(grid.z.min()), float(grid.z.max())
     left, right, below, above = MARGINS
@@ -139,7 +139,7 @@ def framed(grid: HeightGrid, name: str, style: Style) -> bytes:
         bar = figure.add_axes(((WIDTH - right + 0.18) / WIDTH, below / total, 0.2 / WIDTH, height / total))
         span = Normalize(low, high) if low < high else Normalize(low - 0.5, high + 0.5)
         figure.colorbar(mpl.cm.ScalarMappable(span, style.palette), cax=bar)
-        bar.set_ylabel(_with_unit("height", units.z), color="0.25")
+        bar.set_ylabel(_with_unit(quantity, units.z), color="0.25")
         _plain(bar)
         buffer = io.BytesIO()
         FigureCanvasAgg(figure)
@@ -152,6 +152,6 @@ def framed(grid: HeightGrid, name: str, style: Style) -> bytes:
     return buffer.getvalue()
 
 
-def picture(grid: HeightGrid, name: str, style: Style) -> bytes:
+def picture(grid: HeightGrid, name: str, style: Style, quantity: str = "height") -> bytes:
     """The grid as PNG: framed, or one pixel a node where the style wants no colour bar."""
-    return framed(grid, name, style) if style.colorbar else write_png(relief(grid, style))
+    return framed(grid, name, style, quantity) if style.colorbar else write_png(relief(grid, style))

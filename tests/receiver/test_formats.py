@@ -3,15 +3,20 @@ from __future__ import annotations
 import io
 import json
 import sys
+from dataclasses import replace
+from typing import Any
 
 import msgpack
 import numpy as np
 import pytest
 import tifffile
+from matplotlib.figure import Figure
+from PIL import Image
 
 from common.errors import NotAcceptableError
 from common.surface import HeightGrid, Units
 from receiver.formats import GRID_FORMATS, PART, TABLE_FORMATS, GridAnswer, Table, choose
+from receiver.picture import Style, relief
 
 
 def grid(rows: int = 4, columns: int = 3) -> GridAnswer:
@@ -137,3 +142,22 @@ def test_tables() -> None:
     assert texts["csv"] == b"x,y\n1.0,0.1\n2.0,1e-300\n"
     np.testing.assert_array_equal(np.load(io.BytesIO(texts["npy"])), np.column_stack(list(columns.values())))
     assert msgpack.unpackb(texts["msgpack"])["gap"] is None
+
+
+def test_a_picture_of_deviations_shows_these(monkeypatch: pytest.MonkeyPatch) -> None:
+    labels: list[str] = []
+    save = Figure.savefig
+
+    def keep(figure: Figure, *arguments: Any, **options: Any) -> None:
+        labels.append(figure.axes[1].get_ylabel())
+        save(figure, *arguments, **options)
+
+    monkeypatch.setattr(Figure, "savefig", keep)
+    answer = grid(20, 30)
+    rendered("png", replace(answer, std=None))
+    rendered("png", answer)
+    assert labels == ["height (m)", "standard deviation (m)"]
+    bare = np.asarray(Image.open(io.BytesIO(rendered("png", replace(answer, style=Style(colorbar=False))))))
+    assert answer.std is not None
+    deviations = HeightGrid(answer.grid.x, answer.grid.y, answer.std)
+    np.testing.assert_array_equal(bare, relief(deviations, Style(shading=False)))
