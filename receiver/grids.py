@@ -76,7 +76,7 @@ def parse_bbox(text: str, region: Region) -> Region:
     ):
         raise ParameterError(
             f"bbox reaches beyond the region of the surface, "
-            f"{region.x_min:.17g},{region.y_min:.17g},{region.x_max:.17g},{region.y_max:.17g}; nothing is known there"
+            f"{region.x_min},{region.y_min},{region.x_max},{region.y_max}; nothing is known there"
         )
     return part
 

@@ -253,9 +253,16 @@ def _order(**fields: Any) -> Order:
         return Order(**fields)
     except ValidationError as error:
         found = [
-            {**each, "loc": ("option", *(part for part in each["loc"] if part != "wire"))} for each in error.errors()
+            {**each, "loc": ("command", *map(_option, (part for part in each["loc"] if part != "wire")))}
+            for each in error.errors()
         ]
         raise ParameterError(problem_of_fields(found).detail) from error
+
+
+def _option(part: int | str) -> int | str:
+    """A part of a field's place, an option's name as it is typed."""
+    typed = part in Order.model_fields or part in WireOptions.model_fields
+    return f"--{str(part).replace('_', '-')}" if typed else part
 
 
 def main() -> None:

@@ -130,6 +130,8 @@ class ReceiverClient:
         """A client for the receiver at `url`; raises ParameterError for what is no http(s) URL."""
         timeout = httpx.Timeout(READ_TIMEOUT, connect=CONNECT_TIMEOUT)
         base = server_url(url, "a receiver's")
+        if base.path.rstrip("/").endswith("/v1"):
+            raise ParameterError(f"{url!r} has the path of a call in it; give the receiver's URL without /v1")
         return cls(httpx.AsyncClient(base_url=base, timeout=timeout, transport=transport))
 
     async def __aenter__(self) -> ReceiverClient:
@@ -350,6 +352,8 @@ def _reason(error: httpx.TransportError) -> str:
 def _advice(error: httpx.TransportError) -> str:
     if isinstance(error, httpx.ReadTimeout):
         return f"it is busy, or the link slower than {SLOWEST_LINK:g} bit/s: what was sent may still arrive, look later"
+    if "[SSL" in str(error):
+        return "it speaks no https there, or its certificate is not trusted; receiver serve speaks http://"
     return "start it with: receiver serve"
 
 

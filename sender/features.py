@@ -64,7 +64,7 @@ def merge_repeated(points: npt.ArrayLike, repeated: Repeated = "error") -> Float
         x, y, _ = points[int(np.flatnonzero(~first)[0])]
         raise PointsError(
             f"{int(np.count_nonzero(first[:-1] & ~first[1:]))} positions carry more than one height, the "
-            f"first at x = {x:g}, y = {y:g}; choose which to keep: repeated = mean, min or max"
+            f"first at x = {x:g}, y = {y:g}; choose which to keep: --repeated mean, min or max (as JSON: repeated)"
         )
     start = np.flatnonzero(first)
     z = points[:, 2]

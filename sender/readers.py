@@ -129,7 +129,10 @@ def parse_points(
     suffix = Path(name).suffix.lower()
     if suffix not in FORMATS:
         way = f"{suffix} is not read; {WAYS[suffix]}" if suffix in WAYS else f"cannot tell the format of {name!r}"
-        raise FileFormatError(f"{way}; accepted endings are {', '.join(FORMATS)}")
+        packed = " or ".join(UNPACKERS)
+        raise FileFormatError(
+            f"{way}; accepted endings are {', '.join(FORMATS)}, those of text also with {packed} behind them"
+        )
     if suffix == ".npy":
         return _cloud(_parse_npy(data, name, columns, most), lambda row: f"row {row}, counted from 0", name, no_data)
     points, numbers, notes = _parse_text(data, name, columns, most)
@@ -365,6 +368,8 @@ def _columns(names: list[str], wanted: Sequence[str] | None, name: str) -> tuple
                 f"{name}: {label!r} is {'more than one' if places else 'none'} of the file's columns: {has}"
             )
     x, y, z = (place for (place,) in found)
+    if len({x, y, z}) < 3:
+        raise FileFormatError(f"{name}: {', '.join(wanted)} name the same column twice; the file's columns: {has}")
     return x, y, z
 
 
@@ -393,7 +398,7 @@ def _named(labels: list[str], name: str) -> tuple[int, int, int]:
         names = f" ({_listed(labels)})" if any(labels) else ""
         raise FileFormatError(
             f"{name} has {len(labels)} columns{names}, and which of them are x, y and z is not clear; "
-            f"{UNDERSTOOD}; or say which they are, for example columns = 0,1,2"
+            f"{UNDERSTOOD}; or say which they are, for example --columns 0,1,2 (as JSON and TOML: columns)"
         )
     x, y, z = (names.index(axis) for names, axis in found)
     return x, y, z

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidatorFunctionWrapHandler, field_validator
 
 from common.wire.inner import Strength
 from common.wire.limits import (
@@ -59,3 +59,11 @@ class WireOptions(BaseModel):
         default="plain",
         description="Plain: fixed width, fast. Compact: sorted, predicted and entropy-coded; of quantised points only.",
     )
+
+    @field_validator("precision", mode="wrap")
+    @classmethod
+    def _said_at_once(cls, value: object, handler: ValidatorFunctionWrapHandler) -> object:
+        try:
+            return handler(value)
+        except ValidationError as error:
+            raise ValueError(f"expected float64, float32, or {MIN_BITS} to {MAX_BITS} bits") from error

@@ -12,15 +12,15 @@ from common.wire import WireOptions
 
 def test_a_field_of_several_types_is_one_complaint_under_its_own_name() -> None:
     with pytest.raises(ValidationError) as refused:
-        WireOptions(precision=200, copies=0)
+        WireOptions(inner=300, copies=0)
     problem = problem_of_fields([{**each, "loc": ("body", *each["loc"])} for each in refused.value.errors()])
     assert problem.errors == [
+        InvalidField(place="body", name="copies", detail="Input should be greater than or equal to 1"),
         InvalidField(
             place="body",
-            name="precision",
-            detail="Input should be 'float64' or 'float32', or less than or equal to 32",
+            name="inner",
+            detail="Input should be 0, or 16, 32, 64 or 128",
         ),
-        InvalidField(place="body", name="copies", detail="Input should be greater than or equal to 1"),
     ]
 
 
@@ -39,3 +39,11 @@ def test_broken_json_is_said_to_be_that() -> None:
         "ctx": {"error": "Expecting value"},
     }
     assert problem_of_fields([error]).detail == "body: not JSON: Expecting value after 17 characters"
+
+
+@pytest.mark.parametrize("precision", ["float16", 99, 0])
+def test_what_a_precision_may_be_is_said_at_once(precision: object) -> None:
+    with pytest.raises(ValidationError) as refused:
+        WireOptions.model_validate({"precision": precision})
+    problem = problem_of_fields([{**each, "loc": ("body", *each["loc"])} for each in refused.value.errors()])
+    assert problem.detail == "precision: expected float64, float32, or 2 to 32 bits"

@@ -230,6 +230,13 @@ def test_answers_that_no_retry_would_change(answer: httpx.Response, error: type[
     assert len(receiver.requests) == 1
 
 
+def test_https_where_http_is_spoken_is_not_said_to_be_down() -> None:
+    receiver = Receiver(*[httpx.ConnectError("[SSL: WRONG_VERSION_NUMBER] wrong version number")] * 4)
+    with pytest.raises(LinkError, match=r"it speaks no https there.*receiver serve speaks http://") as told:
+        receiver.run(send)
+    assert "start it" not in str(told.value)
+
+
 def test_every_error_of_httpx_that_a_transport_raises_is_ours_at_the_end() -> None:
     kinds = [httpx.ConnectError, httpx.ConnectTimeout, httpx.ReadError, httpx.ReadTimeout, httpx.WriteError,
              httpx.WriteTimeout, httpx.PoolTimeout, httpx.RemoteProtocolError, httpx.ProxyError]  # fmt: skip

@@ -40,10 +40,10 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *ar
         (["surface-1", "--gap", "-1"], "gap: Input should be greater than 0"),
         (
             ["surface-1", "--precision", "200"],
-            ": precision: Input should be 'float64' or 'float32', or less than or equal",
+            "error: --precision: expected float64, float32, or 2 to 32 bits\n",
         ),
-        (["surface-1", "--precision", "\N{SUPERSCRIPT TWO}"], ": precision: Input should be 'float64' or 'float32'"),
-        (["surface-1", "--inner", "300"], ": inner: Input should be 0, or 16, 32, 64 or 128\n"),
+        (["surface-1", "--precision", "\N{SUPERSCRIPT TWO}"], "--precision: expected float64, float32, or 2"),
+        (["surface-1", "--inner", "300"], "--inner: Input should be 0, or 16, 32, 64 or 128\n"),
         (["names.csv"], "names.csv holds a line of names and no point"),
         (["huge.csv"], "1e+300; accepted are coordinates up to 1e+100"),
         (["surface-1", "--points", "1"], "at least 3"),
@@ -64,11 +64,16 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *ar
         ),
         (["nan.csv", "--no-data", "nan"], "2 point(s) given"),
         (["surface-1", "--no-data", "0", "--xy-unit", "m"], "no_data, xy_unit: for a file of points alone; surface-1"),
-        (["nan.csv", "--no-data", "none"], "no_data: Input should be 'nan'"),
-        (["repeated.csv"], "more than one height"),
+        (["nan.csv", "--no-data", "none"], "error: --no-data: Input should be 'nan'"),
+        (["repeated.csv"], "choose which to keep: --repeated mean, min or max"),
+        (["wide.csv"], "say which they are, for example --columns 0,1,2"),
+        (["wide.csv", "--columns", "0,0,2"], "0, 0, 2 name the same column twice; the file's columns: numbers 0 to 3"),
+        (["surface-1", "--precision", "float16"], "error: --precision: expected float64, float32, or 2 to 32 bits\n"),
+        (["surface-1", "--xy-unit", "m", "--rounds", "0"], "error: --rounds: Input should be"),
+        (["surface-1", "--receiver", "http://127.0.0.1:9/v1/"], "give the receiver's URL without /v1"),
         (["binary.csv"], "not text in UTF-8"),
         (["place.csv", "--columns", "lon,lat"], "three columns are needed, those of x, y and z, not 2 (lon, lat)"),
-        (["picture.png"], "accepted endings"),
+        (["picture.png"], "accepted endings are .csv, .txt, .xyz, .asc, .npy, those of text also with .gz or .xz"),
     ],
 )
 def test_bad_input_is_one_line(
@@ -89,6 +94,7 @@ def test_bad_input_is_one_line(
         "nan.csv": b"1,1,nan\n2,0,4\n3,3,0\n",
         "repeated.csv": b"1,1,1\n1,1,4\n3,3,0\n5,0,0\n",
         "binary.csv": b"\x89PNG\xff",
+        "wide.csv": b"1,1,1,1\n2,1,4,2\n3,3,0,0\n",
         "picture.png": b"\x89PNG",
     }.items():
         (tmp_path / name).write_bytes(text)

@@ -224,7 +224,7 @@ def test_a_decimal_comma_anywhere_goes_with_no_point_anywhere(at: int) -> None:
 @pytest.mark.parametrize("header", ["z,a,b", "x,x,y", "x,lat,long", "lon,lat,height,depth", "y,x,z,z", "y,a,b"])
 def test_names_that_leave_the_axes_open_are_refused(header: str) -> None:
     row = ",".join("123456"[: header.count(",") + 1])
-    with pytest.raises(FileFormatError, match=r"not clear; x may be called .*longitude.*columns = 0,1,2"):
+    with pytest.raises(FileFormatError, match=r"not clear; x may be called .*longitude.*--columns 0,1,2 "):
         parse_points(f"{header}\n{row}\n".encode(), "a.csv")
 
 
