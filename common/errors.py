@@ -33,12 +33,16 @@ from difflib import get_close_matches
 from typing import ClassVar
 
 
+def guess(name: str, accepted: Iterable[str]) -> str:
+    """What a message about an unknown name says of the one that was probably meant; "" where there is none."""
+    close = get_close_matches(name[:80], list(accepted), n=1)
+    return f"; did you mean {close[0]!r}?" if close else ""
+
+
 def hint(name: str, accepted: Iterable[str]) -> str:
     """The end of a message about an unknown name: the one that was probably meant, and all that are accepted."""
     accepted = list(accepted)
-    close = get_close_matches(name, accepted, n=1)
-    guess = f"; did you mean {close[0]!r}?" if close else ";"
-    return f"{guess} accepted are {', '.join(accepted)}"
+    return f"{guess(name, accepted) or ';'} accepted are {', '.join(accepted)}"
 
 
 class SurfacelinkError(Exception):

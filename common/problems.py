@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import BaseModel, Field
 
-from common.errors import ParameterError, SurfacelinkError, hint
+from common.errors import ParameterError, SurfacelinkError, guess, hint
 
 MEDIA_TYPE = "application/problem+json"
 
@@ -103,6 +103,7 @@ def invalid_fields(errors: Sequence[Mapping[str, Any]]) -> list[InvalidField]:
         As pydantic's ``ValidationError.errors()`` gives them, the place (query, body, ...) first in ``loc``.
     """
     found: dict[tuple[str, str], list[str]] = {}
+    guesses: dict[tuple[str, str], str] = {}
     for error in errors:
         place, *name = (str(part) for part in error["loc"] or ("body",))
         message = str(error["msg"]).removeprefix("Value error, ")
@@ -110,11 +111,14 @@ def invalid_fields(errors: Sequence[Mapping[str, Any]]) -> list[InvalidField]:
             message, name = f"not JSON: {error['ctx']['error']} after {name[-1]} characters", []
         label = ".".join(part for part in name if not BRANCH.match(part)) or place
         found.setdefault((place, label), []).append(message)
+        if error.get("type") == "literal_error" and isinstance(error["input"], str):
+            guesses[place, label] = guess(error["input"], re.findall("'([^']+)'", error["ctx"]["expected"]))
     return [
         InvalidField(
             place=place,
             name=name,
-            detail=", or ".join([messages[0], *(text.removeprefix("Input should be ") for text in messages[1:])]),
+            detail=", or ".join([messages[0], *(text.removeprefix("Input should be ") for text in messages[1:])])
+            + guesses.get((place, name), ""),
         )
         for (place, name), messages in found.items()
     ]

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Self, TypeAlias
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from common.channel import Channel, PointImpairment
-from common.errors import MissingExtraError, NotFoundError, ParameterError
+from common.errors import MissingExtraError, NotFoundError, ParameterError, hint
 from common.problems import invalid_fields
 from common.wire import WireOptions
 from sender.features import Extracted
@@ -374,7 +374,7 @@ def _first_problem(error: ValidationError) -> str:
     field = invalid_fields([{**each, "loc": ("the file", *each["loc"])} for each in errors])[0]
     if first["type"] == "extra_forbidden":
         table = _TABLES.get(str(first["loc"][0]), Campaign) if len(first["loc"]) > 1 else Campaign
-        return f"{field.name} is not a key; accepted are {', '.join(table.model_fields)}"
+        return f"{field.name} is not a key{hint(str(first['loc'][-1])[:40], table.model_fields)}"
     if first["type"] == "missing":
         return f"{field.name} is missing; it is needed"
     return f"{field.name}: {' '.join(field.detail.split()).removeprefix('Input ')}"

@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from common.errors import NotFoundError
+from common.errors import NotFoundError, hint
 from common.surface import HeightGrid
 from sender.surfaces import find_surface
 
@@ -36,5 +36,5 @@ FIELDS: Mapping[str, Callable[[], HeightGrid]] = MappingProxyType(
 def field(name: str) -> HeightGrid:
     """The field of that name; raises NotFoundError."""
     if name not in FIELDS:
-        raise NotFoundError(f"no field is called {name!r}; there are {', '.join(FIELDS)}")
+        raise NotFoundError(f"no field is called {name!r}{hint(name, FIELDS)}")
     return FIELDS[name]()

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import ValidationError
 
-from common.errors import ParameterError
+from common.errors import ParameterError, hint
 from common.network import NetworkWarning
 from common.network.model import NetworkSettings, SurfaceModel
 from common.surface import FeatureSet, FloatArray, HeightGrid
@@ -60,7 +60,7 @@ def parse_method(text: str) -> Method:
     known = [NETWORK, *(name for name in BASELINES if name != NETWORK)]
     if match is None or match["name"] not in known:
         raise ParameterError(
-            f"{text!r} is not a method; accepted are {', '.join(known)}, "
+            f"{text!r} is not a method{hint(match['name'] if match else text, known)}, "
             "network[spread=0.3,smoothing=0], each also with @cloud"
         )
     if match["settings"] is not None and match["name"] != NETWORK:

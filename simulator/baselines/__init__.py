@@ -25,7 +25,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from common.errors import NotFoundError, PointsError, TrainingError
+from common.errors import NotFoundError, PointsError, TrainingError, hint
 from common.extras import is_installed, require
 from common.network import NetworkWarning, RBFNetwork
 from common.surface import FloatArray, as_points, finite_array
@@ -272,5 +272,5 @@ def reconstruct(
     [[1.0, 1.5, 2.0]]
     """
     if name not in BASELINES:
-        raise NotFoundError(f"no baseline {name!r}; there are {', '.join(BASELINES)}")
+        raise NotFoundError(f"no baseline {name!r}{hint(name, BASELINES)}")
     return BASELINES[name].reconstruct(points, x, y, rng)

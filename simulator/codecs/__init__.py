@@ -17,7 +17,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from common.errors import NotFoundError, ParameterError, PointsError
+from common.errors import NotFoundError, ParameterError, PointsError, hint
 from common.extras import is_installed, require
 from common.metrics import nrmse
 from common.surface import BoolArray, FloatArray
@@ -189,7 +189,7 @@ CODECS: Mapping[str, Codec] = MappingProxyType({codec.name: codec for codec in _
 def find_codec(name: str) -> Codec:
     """The codec of that name; raises NotFoundError, or MissingExtraError where it is not installed."""
     if name not in CODECS:
-        raise NotFoundError(f"no codec is called {name!r}; there are {', '.join(CODECS)}")
+        raise NotFoundError(f"no codec is called {name!r}{hint(name, CODECS)}")
     codec = CODECS[name]
     require(f"codec {name}", codec.package, "codecs")
     return codec

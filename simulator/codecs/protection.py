@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from common.errors import NotFoundError
+from common.errors import NotFoundError, hint
 from common.extras import require
 from common.surface import BoolArray, IntArray
 
@@ -130,5 +130,5 @@ PROTECTIONS: Mapping[str, Protection] = MappingProxyType({protection.name: prote
 def find_protection(name: str) -> Protection:
     """The protection of that name; raises NotFoundError."""
     if name not in PROTECTIONS:
-        raise NotFoundError(f"no protection is called {name!r}; there are {', '.join(PROTECTIONS)}")
+        raise NotFoundError(f"no protection is called {name!r}{hint(name, PROTECTIONS)}")
     return PROTECTIONS[name]

@@ -47,3 +47,12 @@ def test_what_a_precision_may_be_is_said_at_once(precision: object) -> None:
         WireOptions.model_validate({"precision": precision})
     problem = problem_of_fields([{**each, "loc": ("body", *each["loc"])} for each in refused.value.errors()])
     assert problem.detail == "precision: expected float64, float32, or 2 to 32 bits"
+
+
+def test_a_misspelt_choice_is_guessed() -> None:
+    with pytest.raises(ValidationError) as refused:
+        NetworkSettings.model_validate({"spread": "papr", "mapping": "moon"})
+    problem = problem_of_fields([{**each, "loc": ("query", *each["loc"])} for each in refused.value.errors()])
+    detail = problem.detail or ""
+    assert detail.startswith("spread: Input should be 'auto' or 'paper', or ")
+    assert detail.endswith("; did you mean 'paper'?; mapping: Input should be 'height' or 'autoassociative'")

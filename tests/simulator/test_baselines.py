@@ -158,7 +158,7 @@ def test_a_smoothed_plate_is_closer_under_noise() -> None:
 
 def test_unknown_names_and_unusable_input_are_typed() -> None:
     rng = np.random.default_rng(0)
-    with pytest.raises(NotFoundError, match="there are nearest, linear"):
+    with pytest.raises(NotFoundError, match="accepted are nearest, linear"):
         reconstruct("bilinear", cloud(), X, Y, rng)
     with pytest.raises(PointsError, match="finite"):
         reconstruct("linear", [(0, 0, np.nan)], X, Y, rng)

@@ -165,7 +165,7 @@ def test_inflate_gives_the_length_asked_for(data: bytes, length: int) -> None:
 
 
 def test_what_cannot_be_is_a_typed_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(NotFoundError, match="there are dense_cloud"):
+    with pytest.raises(NotFoundError, match="accepted are dense_cloud"):
         best("gif", heights(), 1000)
     with pytest.raises(ParameterError, match="its coarsest takes"):
         best("dct", heights(), 10)
