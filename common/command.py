@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeAlias, TypeVar
 
+import typer
 from pydantic import BaseModel, ValidationError
 from rich.console import Console
 from rich.text import Text
 
 from common.errors import ParameterError, SurfacelinkError
 from common.problems import problem_of_fields
+from common.version import product_version
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -41,6 +43,18 @@ def about(model: type[BaseModel], name: str) -> str:
 
 def _variable(model: type[BaseModel], name: str) -> str:
     return f"{model.model_config.get('env_prefix', '')}{name}".upper()
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(product_version())
+        raise typer.Exit
+
+
+Version: TypeAlias = Annotated[
+    bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and leave.")
+]
+"""The option of a command line that has nothing else to do."""
 
 
 def run(command: Callable[[], object]) -> None:

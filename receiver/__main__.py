@@ -14,7 +14,7 @@ from fastapi import FastAPI
 from rich.console import Console
 from rich.markup import escape
 
-from common.command import about, run, settings_from
+from common.command import Version, about, run, settings_from
 from common.listening import listen, url_of
 from receiver.app import create_app
 from receiver.settings import Settings
@@ -34,7 +34,7 @@ GRACE_SECONDS = 5
 
 
 @app.callback()
-def _commands() -> None:
+def _commands(version: Version = False) -> None:
     """Keeps `serve` a word of its own, although it is the only command."""
 
 

@@ -17,7 +17,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from common.channel import Channel
-from common.command import about, run, settings_from
+from common.command import Version, about, run, settings_from
 from common.errors import ParameterError
 from common.listening import listen, url_of
 from common.problems import problem_of_fields
@@ -47,6 +47,11 @@ WORTH_TELLING = 2.0
 
 STEPS = 200
 """Parts that the wait for a channel is drawn in."""
+
+
+@app.callback()
+def _commands(version: Version = False) -> None:
+    """What goes before any command."""
 
 
 @app.command()

@@ -17,7 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from common.channel import Channel
-from common.command import run
+from common.command import Version, run
 from common.listening import listen, url_of
 from sender.surfaces import find_surface
 from simulator.demo import DEMO_SURFACES, Exhibit, run_demo, steps
@@ -39,6 +39,11 @@ app = typer.Typer(
 )
 console = Console()
 CHANNELS = ("clean", "noisy")
+
+
+@app.callback()
+def _commands(version: Version = False) -> None:
+    """What goes before any command."""
 
 
 @app.command()
