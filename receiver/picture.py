@@ -31,7 +31,10 @@ STEEP_PERCENTILE, STEEP = 95.0, 0.7
 """This percentile of the slopes is drawn as this slope, so that any unit of height gives a readable relief."""
 
 SHADE, GLOW = 0.75, 0.5
-"""How much slopes that turn away from the light darken, and those that face it lighten."""
+"""How much gentle slopes that turn away from the light darken, and those that face it lighten."""
+
+DARKEST = 0.45
+"""Share of its colour that no slope loses more of: black is in no colour bar, and reads as a hole."""
 
 LEVELS = 10
 """Contour lines, about."""
@@ -82,7 +85,7 @@ def relief(grid: HeightGrid, style: Style) -> Pixels:
     if style.shading and min(z.shape) > 1:
         step_x, step_y = float(np.ptp(grid.x)) / (grid.x.size - 1), float(np.ptp(grid.y)) / (grid.y.size - 1)
         light = _light(scaled, step_x, step_y)[:, :, None]
-        darker = colors * (1 - SHADE * (1 - light))
+        darker = colors * (1 - DARKEST * np.tanh(SHADE / DARKEST * (1 - light)))
         lighter = colors + (1 - colors) * (GLOW * (light - 1))
         colors = np.where(light < 1, darker, lighter)
     return (np.clip(colors, 0, 1) * 255 + 0.5).astype(np.uint8)

@@ -302,3 +302,13 @@ def test_an_event_that_comes_late_changes_nothing(page: Page, receiver: str) -> 
     assert title.is_visible()
     page.evaluate("() => changed({...surfaces.get('point'), state: 'training', updated: '9999'})")
     assert not title.is_visible()
+
+
+def test_no_slope_is_so_dark_that_it_reads_as_a_hole(page: Page) -> None:
+    """All shades from none to full light, of white; `lit` draws both the map and the relief."""
+    page.get_by_text("Nothing has arrived yet").wait_for()
+    shades = page.evaluate("[...Array(11).keys()].map(k => lit(255, k / 10))")
+    assert min(shades) >= 0.55 * 255
+    assert shades == sorted(shades)
+    assert shades[-1] == 255
+    assert shades[5] < 0.75 * 255

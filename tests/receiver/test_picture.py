@@ -49,6 +49,14 @@ def test_light_comes_from_the_upper_left() -> None:
     assert change[3, 13] > 0 > change[-4, -14]
 
 
+@pytest.mark.parametrize("palette", PALETTES)
+def test_no_slope_is_so_dark_that_it_reads_as_a_hole(palette: Palette) -> None:
+    spike = surface(np.exp(-((X - 1) ** 2 + (Y[:, None] - 0.5) ** 2) / 0.01))
+    plain, lit = (relief(spike, Style(palette, shading)).astype(float) for shading in (False, True))
+    assert np.all(lit >= 0.55 * plain - 1)
+    assert np.any(lit < 0.7 * plain - 1)
+
+
 def test_level_ground_keeps_its_colour() -> None:
     step = np.where(X < 1, 0.0, 1.0)
     pixels = relief(surface(step), Style("viridis"))
