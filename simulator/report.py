@@ -309,17 +309,24 @@ class Contest:
 
     @property
     def winner(self) -> str:
-        """The line of lowest median among the network's own and its rivals, "" where none of them has a surface."""
-        return self._lowest(self.own)
+        """The line of lowest median among the network's own and its rivals, "" where none of them has a surface; of
+        several that are equal the network's own, or else the first."""
+        lowest = self._lowest(self.own)
+        return self.own if self.own in lowest else next(iter(lowest), "")
 
     def won_by(self, line: str) -> bool:
-        """Whether `line` has the lowest median; another line of the network enters in the place of `own`."""
-        return self._lowest(line if line.startswith(NETWORK) else self.own) == line
+        """Whether no line has a lower median; another line of the network enters in the place of `own`."""
+        return line in self._lowest(line if line.startswith(NETWORK) else self.own)
 
-    def _lowest(self, entrant: str) -> str:
+    def tied(self, line: str) -> bool:
+        """Whether `line` won, and another line, of the network or not, has the same median."""
+        same = [each for each in self.distortion.values() if each.median == self.distortion[line].median]
+        return self.won_by(line) and len(same) > 1
+
+    def _lowest(self, entrant: str) -> list[str]:
         entered = [line for line in self.distortion if line == entrant or not line.startswith(NETWORK)]
-        best = min(entered, key=lambda line: self.distortion[line].median)
-        return best if math.isfinite(self.distortion[best].median) else ""
+        least = min(self.distortion[line].median for line in entered)
+        return [line for line in entered if self.distortion[line].median == least] if math.isfinite(least) else []
 
     @property
     def best(self) -> str:
@@ -371,11 +378,26 @@ def _of_a_budget(row: Row) -> Row:
 
 def _level(contest: Contest) -> str:
     size = f", {int(contest.budget):,} bytes" if contest.budget else ""
-    if contest.level is None:
-        return (contest.channel or "clean") + size
-    look = look_of(contest.axis)
-    value = f"{100 * contest.level:g} %" if look.percent else f"{contest.level:g}"
-    return f"{contest.axis.replace('_', ' ')} {value}{size}"
+    return _channel(contest.axis, contest.level, contest.channel) + size
+
+
+def _channel(axis: str, level: float | None, channel: str) -> str:
+    if level is None:
+        return channel or "clean"
+    value = f"{100 * level:g} %" if look_of(axis).percent else f"{level:g}"
+    return f"{axis.replace('_', ' ')} {value}"
+
+
+def medians(rows: Sequence[Row]) -> Mapping[tuple[str, str], Mapping[str, str]]:
+    """(surface, channel) -> line -> median NRMSE over the samples, as people read them."""
+    line_of = Lines(rows)
+    return {
+        (surface, _channel(axis, level, channel)): {
+            line: _distortion(Quartiles.of([row["nrmse"] for row in its]).median)
+            for line, its in group(of, line_of).items()
+        }
+        for (surface, axis, level, channel), of in group(rows, _place).items()
+    }
 
 
 def contests_html(cells: Sequence[Contest], notes: Mapping[str, str]) -> str:
@@ -457,10 +479,12 @@ def ranking_html(cells: Sequence[Contest]) -> str:
     harm = any(cell.harmful for cell in cells)
     harmful = [cell for cell in cells if cell.harmful] if harm else cells
     order = sorted(names, key=lambda name: (ratio(name, harmful), name))
+    won = {name: [cell for cell in harmful if name in cell.distortion and cell.won_by(name)] for name in names}
+    tied = {name: sum(cell.tied(name) for cell in won[name]) for name in names}
     rows = [
         [
             name,
-            str(sum(name in cell.distortion and cell.won_by(name) for cell in harmful)),
+            f"{len(won[name])}{f', {tied[name]} of them tied' if tied[name] else ''}",
             _ratio(ratio(name, harmful)),
             *(_ratio(ratio(name, [cell for cell in harmful if cell.surface == s])) for s in surfaces),
         ]
@@ -472,7 +496,12 @@ def ranking_html(cells: Sequence[Contest]) -> str:
         rows,
         caption=f"Cells {'with harm ' if harm else ''}that each line wins, a line of the network against those that "
         f"are none, and its median NRMSE over that of {named} (geometric mean over the cells in which both give a "
-        f"surface; above 1 {named} is better).",
+        f"surface; above 1 {named} is better)."
+        + (
+            " In a cell that is tied another line has the same median, and each is counted."
+            if any(tied.values())
+            else ""
+        ),
     )
 
 

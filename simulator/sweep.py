@@ -9,7 +9,7 @@ import platform
 import re
 import shlex
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
@@ -17,7 +17,10 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
 import common
 import sender
@@ -165,6 +168,30 @@ HELP = (
 )
 
 
+MOST_ROWS, MOST_COLUMNS = 20, 6
+"""A larger table of medians is not for a terminal; cells.csv has it."""
+
+
+def medians_table(rows: Sequence[Row]) -> Table | None:
+    """Median NRMSE by surface and channel, a column a line of the report; None where it would be long."""
+    cells = report.medians(rows)
+    if len(cells) > MOST_ROWS:
+        return None
+    lines = report.choose_lines(rows, MOST_COLUMNS)
+    all_lines = {line for of in cells.values() for line in of}
+    more = f"; {len(all_lines) - len(lines)} lines more are in cells.csv" if len(all_lines) > len(lines) else ""
+    table = Table(
+        box=SIMPLE_HEAD, pad_edge=False, caption=f"Median NRMSE over the samples{more}.", caption_justify="left"
+    )
+    table.add_column("surface", no_wrap=True)
+    table.add_column("channel")
+    for line in lines:
+        table.add_column(escape(line), justify="right")
+    for (surface, channel), of in cells.items():
+        table.add_row(escape(surface), escape(channel), *(of.get(line, "") for line in lines))
+    return table
+
+
 def sweep_command(
     campaign: Annotated[
         Path | None, typer.Argument(metavar="FILE", help="Campaign in TOML; what options say goes before it.")
@@ -264,6 +291,9 @@ def sweep_command(
         console.print(f"stopped; finished cells are kept in {folder}, the same command goes on", highlight=False)
         raise typer.Exit(130) from None
     failed = sum(row["failure"] is not None for row in rows)
+    table = medians_table(rows)
+    if table is not None:
+        console.print(table, highlight=False)
     console.print(f"{len(rows)} rows, {failed} failed reconstructions", highlight=False)
     for name in ("table.csv", "report.html"):
         console.print(str(folder / name), highlight=False, soft_wrap=True)

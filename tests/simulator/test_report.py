@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from html.parser import HTMLParser
 from itertools import pairwise
@@ -10,12 +11,14 @@ from pathlib import Path
 import pytest
 from matplotlib.axis import Axis
 from matplotlib.text import Text
+from rich.console import Console
 
 from simulator import report
 from simulator.campaign import Campaign
 from simulator.page import data_script, page, table
 from simulator.runner import Row
 from simulator.statistics import Quartiles
+from simulator.sweep import MOST_COLUMNS, MOST_ROWS, medians_table
 from simulator.table import COLUMNS
 
 WORDS = report.Words("A <title>", "Lead & more.", "simulate sweep x.toml", {"peaks": "The note."})
@@ -139,6 +142,49 @@ def test_one_line_stands_for_the_network() -> None:
     assert "1 of 2 cells with harm (50 %)" in html
     won = dict(re.findall(r'<tr><td class="name">([^<]*)</td><td>(\d+)</td>', html))
     assert won == {"network[spread=1]": "1", "network": "1", "linear": "1", "cubic": "0"}
+
+
+def test_a_tie_is_said_to_be_one() -> None:
+    given = [
+        row(method=method, level=level, nrmse=error)
+        for level, of in ((0.1, (0.2, 0.1, 0.1)), (0.2, (0.3, 0.1, 0.2)), (0.3, (0.1, 0.1, 0.4)))
+        for method, error in zip(("linear", "network", "network[spread=1]"), of, strict=True)
+    ]
+    cells = report.contests(given)
+    assert [cell.winner for cell in cells] == ["network"] * 3
+    assert [cell.tied("network") for cell in cells] == [True, False, True]
+    html = report.render(given, WORDS)
+    won = dict(re.findall(r'<tr><td class="name">([^<]*)</td><td>([^<]*)</td>', html))
+    assert won == {
+        "network": "3, 2 of them tied",
+        "network[spread=1]": "2, 1 of them tied",
+        "linear": "1, 1 of them tied",
+    }
+    assert "another line has the same median, and each is counted" in html
+    assert "tied" not in report.render(given[3:6], WORDS)
+
+
+def test_the_medians_are_told_on_the_terminal_where_they_are_few() -> None:
+    given = rows()
+    table = medians_table(given)
+    assert table is not None
+    console = Console(width=200, file=io.StringIO(), record=True)
+    console.print(table)
+    said = console.export_text()
+    for line in report.cells_csv(given).splitlines()[1:]:
+        surface, _, _, method, *_, median, _, _ = line.split(",")
+        assert surface in said
+        assert method in said
+        assert f"{float(median):.3g}" in said
+    assert table.row_count == len({(each["surface"], each["level"]) for each in given})
+    assert medians_table([row(method="network", level=k / 100, nrmse=1.0) for k in range(MOST_ROWS + 1)]) is None
+
+
+def test_lines_beyond_the_width_of_a_terminal_are_counted() -> None:
+    table = medians_table([row(method=f"m{k}", level=0.1, nrmse=1.0 + k) for k in range(MOST_COLUMNS + 2)])
+    assert table is not None
+    assert len(table.columns) == 2 + MOST_COLUMNS
+    assert "2 lines more are in cells.csv" in str(table.caption)
 
 
 def test_a_cell_that_only_another_line_of_the_network_survives_is_lost() -> None:
