@@ -61,7 +61,10 @@ class SurfaceChoice(Settings):
     @model_validator(mode="after")
     def _one_of(self) -> Self:
         if sum(value is not None for value in (self.name, self.field, self.file)) != 1:
-            raise ValueError("give one of name (of a surface), field (of 256 x 256 nodes) and file (of points)")
+            raise ValueError(
+                "give one of name (of a surface), field (of 256 x 256 nodes) and file (of points; "
+                "called by its own name)"
+            )
         for key in ("columns", "no_data"):
             if getattr(self, key) is not None and self.file is None:
                 raise ValueError(f"{key} belongs to a file")
