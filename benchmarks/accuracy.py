@@ -257,6 +257,48 @@ def real(seeds: int) -> None:
     )
 
 
+def many(seeds: int) -> None:
+    """Many wrong points: NRMSE over that of the other points alone."""
+    shares = (0.05, 0.1, 0.2, 0.3, 0.4)
+    print(
+        "Many wrong points, gross (off by up to half the range) and wild (anywhere within five): RMSE over that of the"
+    )
+    print(
+        f"other points alone, median; columns: {', '.join(f'{share:.0%}' for share in shares)} of the points are wrong"
+    )
+    for name in ("surface-3", "surface-2", "peaks", "elevation"):
+        for n in (100, 400, 2000, 6000):
+            for level in (0.0, 0.01, 0.05):
+                figures = {kind: [_spoilt(name, n, level, share, kind, seeds) for share in shares] for kind in WRONG}
+                print(
+                    f"  {name:10s} {n:5d} noise {level:4.0%} "
+                    + "   ".join(f"{kind} " + " ".join(f"{v:7.3g}" for v in row) for kind, row in figures.items()),
+                    flush=True,
+                )
+
+
+WRONG: dict[str, Callable[[FloatArray, float, np.random.Generator], FloatArray]] = {
+    "gross": lambda y, span, rng: y + rng.uniform(-span / 2, span / 2, len(y)),
+    "wild": lambda y, span, rng: rng.uniform(-5 * span, 5 * span, len(y)),
+}
+"""What wrong points are instead of the values, of which the span is given."""
+
+
+def _spoilt(name: str, n: int, level: float, share: float, kind: str, seeds: int) -> float:
+    ratios = []
+    for seed in range(min(seeds, 5)):
+        rng = np.random.default_rng(seed)
+        cloud = SURFACES[name].sample(rng, n + 2000)
+        X, Q, z = cloud[:n, :2], cloud[n:, :2], cloud[n:, 2]
+        extent = float(np.ptp(z))
+        y = cloud[:n, 2] + level * extent * rng.normal(size=n)
+        wrong = np.zeros(n, dtype=bool)
+        wrong[rng.permutation(n)[: round(share * n)]] = True
+        heights = ours(X, np.where(wrong, WRONG[kind](y, extent, rng), y), Q)
+        ratios.append(rmse(z, heights) / rmse(z, ours(X[~wrong], y[~wrong], Q)))
+    return float(np.median(ratios))
+
+
 def coverage(seeds: int) -> None:
     """Share of the truth within the 95 % band."""
     print("Coverage of the 95 % band, per cent (target 90 to 98): clean, 5 % noise")
@@ -421,6 +463,7 @@ TABLES: dict[str, Callable[[int], None]] = {
     "criterion": criterion,
     "noise": noise,
     "wild": wild,
+    "many": many,
     "terrain": real,
     "coverage": coverage,
     "uneven": uneven,

@@ -21,6 +21,7 @@ from common.network.kernel import ladder_spreads, mean_spacing, nearest_distance
 from common.network.partition import CALM, PROBES, Partition, strays, tolerated
 from common.network.selection import (
     CLEAN,
+    NOISY,
     ROUGHNESS,
     SMOOTHINGS,
     Fit,
@@ -43,9 +44,6 @@ EXPLODED = 2.0
 
 TELLING = 10
 """Points below which nothing can be said about their noise, and the surface passes through them."""
-
-NOISY = 1e-4
-"""Smoothing from which the points are taken for noisy, in their positions, too."""
 
 LIKE = 12
 """Kernels that are fitted once more, allowing for noise in the positions."""
@@ -203,12 +201,12 @@ def _train_dense(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
         notes = (_unstable(wanted, f"leave-one-out error {error:.3g} times the deviation of the values"),)
         wanted = replace(wanted, smoothing=None)
         fit = _select(samples, wanted, tick)
-    fit, outliers = robust.set_aside(samples, fit, lambda part, quick: _select(part, wanted, tick, quick=quick))
-    samples = samples.without(outliers)
+    cleaned = robust.set_aside(samples, fit, lambda part, quick: _select(part, wanted, tick, quick=quick))
+    samples, fit = cleaned.samples, cleaned.fit
     network = _expansion(samples, fit)
     if wanted.free and strays(network.predict(_between(samples.X)), samples.y):
         network = _expansion(samples, _tempered(samples, fit, wanted, tick))
-    trained = Trained(network, outliers, np.zeros(0), notes=notes)
+    trained = Trained(network, cleaned.outliers, np.zeros(0), notes=notes)
     if wanted.sparse:
         _thin(trained, network, samples, wanted, tick)
     tick("solve", 1.0)
@@ -305,7 +303,16 @@ def _thin(trained: Trained, network: Expansion, samples: Samples, wanted: Wanted
 
 def _train_partition(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
     notes: tuple[str, ...] = ()
-    outliers = robust.screen(samples.X, samples.y)
+    few = search.neighbourhoods(samples.X)
+    many = robust.weighed(
+        samples,
+        few,
+        lambda part, quick: _select(part, wanted, tick, quick=quick),
+        lambda part: _partition(part, wanted, tick),
+    )
+    if many is not None and many.noisy:
+        return _partitioned(many.of(samples), many.outliers, None, wanted, tick)
+    outliers = robust.screen(samples.X, samples.y) if many is None else many.outliers
     network: Partition | None = None
     if wanted.smoothing is not None:
         kept = samples.without(outliers)
@@ -321,16 +328,24 @@ def _train_partition(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
         rows = np.setdiff1d(np.arange(len(samples)), outliers)
         more = robust.cross_checked(samples.take(rows), lambda part: _partition(part, wanted, tick))
         outliers, network = np.union1d(outliers, rows[more]), None
-    if network is None:
-        network = _partition(samples.without(outliers), wanted, tick)
     if len(outliers):
+        network = _partition(samples.without(outliers), wanted, tick)
         agreed = robust.agreeing(network, samples, outliers)
         if agreed.any():
-            outliers = outliers[~agreed]
-            network = _partition(samples.without(outliers), wanted, tick)
-    trained = Trained(network, outliers, np.zeros(0), notes=notes)
+            outliers, network = outliers[~agreed], None
+    trained = _partitioned(samples.without(outliers), outliers, network, wanted, tick)
+    trained.notes = notes
+    return trained
+
+
+def _partitioned(
+    samples: Samples, outliers: IntArray, network: Partition | None, wanted: Wanted, tick: Tick
+) -> Trained:
+    """The partition of the samples, if there is none yet, or one network of merged ones."""
+    network = network or _partition(samples, wanted, tick)
+    trained = Trained(network, outliers, np.zeros(0))
     if wanted.free:
-        _coarsen(trained, network, samples.without(outliers), wanted, tick)
+        _coarsen(trained, network, samples, wanted, tick)
     return trained
 
 

@@ -12,15 +12,18 @@ are far off on the same side than chance allows, they are an island, or the edge
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
 from scipy.special import bdtrc
 
-from common.network import evaluation
+from common.network import contamination, evaluation
+from common.network.contamination import MOST
 from common.network.dense import Dense
 from common.network.partition import Partition
-from common.network.selection import Fit, Samples
+from common.network.selection import NOISY, Fit, Samples
 from common.surface import BoolArray, FloatArray, IntArray
 
 SUSPECT = 8.0
@@ -29,8 +32,8 @@ SUSPECT = 8.0
 SHARE = 0.01
 """Expected share of wrong points, in the comparison of the two readings."""
 
-MOST = 0.3
-"""Greatest share of the points that is ever set aside."""
+FEW = 0.3
+"""Greatest share of the points that is set aside as few wrong ones."""
 
 HARMLESS = 0.02
 """Residuals below this share of the values' deviation are never suspected."""
@@ -49,6 +52,9 @@ ROUNDS = 10
 GLANCE = 5000
 """Points looked at first: where none of them is suspect, the others are not looked at."""
 
+UNEVEN = 5.0
+"""Kurtosis of what values are off their neighbours, 3 to 4 for noise on a surface, from which a network is asked."""
+
 APART = 4.0
 """Robust deviations from the neighbours beyond which the first network goes without a point."""
 
@@ -61,37 +67,104 @@ TAIL, TAIL_DEVIATIONS = 0.995, 2.81
 NEIGHBOURS = 12
 """Nearest points that a value of many is compared with."""
 
-COMPANY = 1 / 3
-"""Share of what a value is off that one beside it must be off on the same side to be its company."""
-
 CHANCE = 0.01
 """Probability that any wrong value of all is taken for company of those around it."""
 
 
-def set_aside(samples: Samples, fit: Fit, refit: Callable[[Samples, bool], Fit]) -> tuple[Fit, IntArray]:
-    """The fit without the wrong points, and the rows of those; the given fit and no rows where there are none."""
+class Cleaned(NamedTuple):
+    """The samples that are kept, with weights, their fit, and the rows of the others."""
+
+    samples: Samples
+    fit: Fit
+    outliers: IntArray
+
+
+def set_aside(samples: Samples, fit: Fit, refit: Callable[[Samples, bool], Fit]) -> Cleaned:
+    """The samples without the wrong points; the given ones and their fit where there are none."""
     n = len(samples)
+    whole = Cleaned(samples, fit, np.zeros(0, dtype=np.int64))
     if n < 10:
-        return fit, np.zeros(0, dtype=np.int64)
-    kept = _kept(fit.residuals, fit.deviations)
-    # Many wrong points hide one another from a network that was fitted to them, but not from their neighbours.
+        return whole
     near = _near(_tree(samples.X), np.arange(n))
-    if kept.all() and not _far_off(samples.y, near).any():
-        return fit, np.zeros(0, dtype=np.int64)
-    kept &= ~_far_off(samples.y, near, APART)
+    many = _many(samples, fit, refit, near) if contamination.suspected(fit) else None
+    if many is not None and many.noisy:
+        part = many.of(samples)
+        return Cleaned(part, refit(part, False), many.outliers)
+    if many is not None:
+        out = _out(samples, many.kept, refit, near, many=True)
+    else:
+        kept = _kept(fit.residuals, fit.deviations)
+        if kept.all() and not _far_off(samples.y, near).any():
+            return whole
+        # Wrong points hide one another from a network that was fitted to them, but not from their neighbours.
+        out = _out(samples, kept & ~_far_off(samples.y, near, APART), refit, near, many=False)
+    if not len(out):
+        return whole
+    part = samples.without(out)
+    clean = refit(part, False)
+    cost = np.log(2 * np.ptp(samples.y, axis=0)).sum() + np.log((1 - SHARE) / SHARE)
+    if _likelihood(clean) + len(out) * cost >= _likelihood(fit):
+        return whole
+    return Cleaned(part, clean, out)
+
+
+class Many(NamedTuple):
+    """Weights of the points, which of them are kept, and whether these are noisy still."""
+
+    weights: FloatArray
+    kept: BoolArray
+    noisy: bool
+
+    @property
+    def outliers(self) -> IntArray:
+        """Rows of the points that are not kept."""
+        return np.flatnonzero(~self.kept)
+
+    def of(self, samples: Samples) -> Samples:
+        """Those that are kept, with their weights where they are noisy."""
+        weights = samples.weights * self.weights if self.noisy else samples.weights
+        return replace(samples, weights=weights).without(self.outliers)
+
+
+def _many(samples: Samples, fit: Fit, refit: Callable[[Samples, bool], Fit], near: IntArray) -> Many | None:
+    """What a network that counts the points by how far off they are says of them, where that is believed."""
+    last = fit
+
+    def residuals(weights: FloatArray) -> FloatArray:
+        nonlocal last
+        last = refit(replace(samples, weights=samples.weights * weights), True)
+        return last.residuals
+
+    found = contamination.reweighted(fit.residuals, residuals)
+    if not contamination.is_believed(fit.residuals, found, samples.y, near, HARMLESS):
+        return None
+    return _judged(found, near, last.smoothing >= NOISY)
+
+
+def _judged(found: contamination.Reweighted, near: IntArray, noisy: bool) -> Many:
+    kept = found.sizes <= SUSPECT * found.usual
+    return Many(found.weights, kept | _company(found.residuals, ~kept, near), noisy)
+
+
+def _out(
+    samples: Samples, kept: BoolArray, refit: Callable[[Samples, bool], Fit], near: IntArray, *, many: bool
+) -> IntArray:
+    """Rows of the wrong points, from those `kept` at first; what is usual is asked of these where others are `many`."""
+    n, most = len(samples), MOST if many else FEW
     seen = _look(samples, kept, refit)
     for _ in range(ROUNDS):
-        agreed = _kept(*seen)
+        agreed = _kept(*seen, kept, harmless=0.0) if many else _kept(*seen)
         agreed |= _company(seen[0], ~agreed, near)
         # While wrong points are left the network is not to be asked which ones may come back.
         left = kept & agreed
-        if np.array_equal(left, kept) or np.count_nonzero(~left) > MOST * n:
+        if np.array_equal(left, kept) or np.count_nonzero(~left) > most * n:
             break
         kept, seen = left, _look(samples, left, refit)
-    first, closer, beyond, doubts = kept, kept, seen, 0
+    first = np.ones(n, dtype=bool) if many else kept
+    closer, beyond, doubts = kept, seen, 0
     while doubts < PATIENCE:
         left = closer & ~_worst(*beyond, closer, near)
-        if np.array_equal(left, closer) or np.count_nonzero(~left) > MOST * n:
+        if np.array_equal(left, closer) or np.count_nonzero(~left) > most * n:
             break
         closer, beyond = left, _look(samples, left, refit)
         doubts += 1
@@ -113,15 +186,7 @@ def set_aside(samples: Samples, fit: Fit, refit: Callable[[Samples, bool], Fit])
         kept = kept | agreed | company
         seen = _look(samples, kept, refit)
         agreed = _kept(*seen) | _within_tail(*seen, kept)
-    rows = np.flatnonzero(kept | agreed)
-    out = np.setdiff1d(np.arange(n), rows)
-    if not len(out):
-        return fit, out
-    clean = refit(samples.take(rows), False)
-    cost = np.log(2 * np.ptp(samples.y, axis=0)).sum() + np.log((1 - SHARE) / SHARE)
-    if _likelihood(clean) + len(out) * cost >= _likelihood(fit):
-        return fit, np.zeros(0, dtype=np.int64)
-    return clean, out
+    return np.flatnonzero(~(kept | agreed))
 
 
 def screen(X: FloatArray, y: FloatArray) -> IntArray:
@@ -168,19 +233,51 @@ def _far_off(y: FloatArray, near: IntArray, deviations: float = SUSPECT) -> Bool
 def _together(away: FloatArray, around: FloatArray, share: float) -> BoolArray:
     """Whether values so far off (m,) are so together with those around them (m, k), the share of such values given.
 
-    A wrong value has another for company, at least `COMPANY` as far off, with half their share for a probability.
+    A wrong value has another for company with half their share for a probability.
     """
-    same = np.count_nonzero(around * np.sign(away)[:, None] >= COMPANY * np.abs(away)[:, None], axis=1)
+    same = contamination.company(away, around)
     return np.asarray(bdtrc(same - 1, around.shape[1], 0.5 * share) * len(away) < CHANCE)
 
 
-def cross_checked(samples: Samples, fit: Callable[[Samples], Partition]) -> IntArray:
-    """Rows whose values are far off what a network of the other half of the samples says."""
+def weighed(
+    samples: Samples, few: IntArray, refit: Callable[[Samples, bool], Fit], fit: Callable[[Samples], Partition]
+) -> Many | None:
+    """The same as `set_aside` asks first, of so many points that `fit` cuts them; None where few or none are wrong.
+
+    The rows `few` tell whether many are wrong, then halves of all samples tell of each other which.
+    """
+    tree, n = _tree(samples.X), len(samples)
+    near = _near(tree, np.random.default_rng(0).permutation(n)[:GLANCE])
+    if not contamination.heavy(samples.y[near[:, 0]] - np.median(samples.y[near[:, 1:]], axis=1), UNEVEN):
+        return None
+    part = samples.take(few)
+    first = refit(part, True)
+    if not contamination.suspected(first):
+        return None
+    believed = _many(part, first, refit, _near(_tree(part.X), np.arange(len(part))))
+    if believed is None:
+        return None
+    near = _near(tree, np.arange(n))
+    found = contamination.reweighted(
+        samples.y - np.median(samples.y[near[:, 1:]], axis=1),
+        lambda weights: _crosswise(replace(samples, weights=samples.weights * weights), fit),
+    )
+    return _judged(found, near, believed.noisy)
+
+
+def _crosswise(samples: Samples, fit: Callable[[Samples], Partition]) -> FloatArray:
+    """Values less what a network of the other half of the samples says, shape (n, k)."""
     order = np.random.default_rng(0).permutation(len(samples))
     half = len(order) // 2
     residuals = np.empty_like(samples.y)
     for fitted, asked in ((order[:half], order[half:]), (order[half:], order[:half])):
         residuals[asked] = samples.y[asked] - fit(samples.take(np.sort(fitted))).predict(samples.X[asked])
+    return residuals
+
+
+def cross_checked(samples: Samples, fit: Callable[[Samples], Partition]) -> IntArray:
+    """Rows whose values are far off what a network of the other half of the samples says."""
+    residuals = _crosswise(samples, fit)
     suspect = ~_kept(residuals, np.ones(len(samples)))
     if suspect.any():
         suspect &= ~_company(residuals, suspect, _near(_tree(samples.X), np.arange(len(samples))))
@@ -221,10 +318,8 @@ def _within_tail(residuals: FloatArray, deviations: FloatArray, kept: BoolArray)
 def _company(residuals: FloatArray, suspect: BoolArray, near: IntArray) -> BoolArray:
     """Which suspects' residuals are `_together` with those around them; `near` (n, 1 + m), themselves first."""
     rows = np.flatnonzero(suspect)
-    column = np.argmax(np.abs(residuals[rows]), axis=1)
-    around = residuals[near[rows, 1:], column[:, None]]
     found = np.zeros_like(suspect)
-    found[rows] = _together(residuals[rows, column], around, len(rows) / len(suspect))
+    found[rows] = _together(*contamination.beside(residuals, rows, near), len(rows) / len(suspect))
     return found
 
 

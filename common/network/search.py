@@ -126,7 +126,7 @@ def fit(
     ladder = next((start for start in _starts(ranked, np.inf) if start.kind.family == "ladder"), None)
     if n > CLIMBED and not quick:
         anywhere = _is_smooth(starts[0], mean_spacing(few.X))
-        near = samples.take(np.sort(order[:CLIMBED]) if anywhere else _neighbourhoods(samples.X, order))
+        near = samples.take(np.sort(order[:CLIMBED]) if anywhere else neighbourhoods(samples.X))
         search = _Search(near, spreads, smoothest, TRIALS, lambda share: tick(0.2 + 0.2 * share))
         found = search.climb(starts, free, ladder)
         # The closer the points, the rougher a surface may look.
@@ -145,8 +145,9 @@ def fit(
     return search.climb(starts, free, ladder)
 
 
-def _neighbourhoods(X: FloatArray, order: IntArray) -> IntArray:
-    """`CLIMBED` rows of X (n, d): the neighbourhoods of the first points in the given order (n,)."""
+def neighbourhoods(X: FloatArray) -> IntArray:
+    """`CLIMBED` rows of X (n, d): the neighbourhoods of a few points, always the same."""
+    order = np.random.default_rng(0).permutation(len(X))
     tree, size = KDTree(X), CLIMBED // NEIGHBOURHOODS
     rows = tree.query(X[order[:NEIGHBOURHOODS]], k=size)[1]
     found = np.unique(rows)

@@ -83,6 +83,9 @@ WORSE = 4.0
 CLEAN = 1e-6
 """Smoothing below which the points may have no noise at all."""
 
+NOISY = 1e-4
+"""Smoothing from which the points are taken for noisy."""
+
 TINY = float(np.finfo(np.float64).tiny)
 CLOSE = 0.1
 """Mean spacings within which two points are twins: one tells the other, and neither what is between the points."""
