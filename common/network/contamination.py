@@ -104,11 +104,16 @@ def reweighted(residuals: FloatArray, refit: Callable[[FloatArray], FloatArray])
     for rounds in range(ROUNDS):
         sizes = np.max(np.abs(residuals), axis=1)
         usual = float(np.median(sizes)) / NORMAL_MEDIAN
-        before, weights = weights, 1 / (1 + (sizes / (CAUCHY * usual)) ** 2)
+        before, weights = weights, weights_of(sizes, usual)
         if rounds == ROUNDS - 1 or np.max(np.abs(weights - before)) < SETTLED:
             break
         residuals = refit(weights)
     return Reweighted(residuals, weights, usual)
+
+
+def weights_of(sizes: FloatArray, usual: float) -> FloatArray:
+    """What points count for whose errors have these sizes (n,), `usual` being the deviation of most."""
+    return np.asarray(1 / (1 + (sizes / (CAUCHY * usual)) ** 2))
 
 
 def is_believed(first: FloatArray, found: Reweighted, values: FloatArray, near: IntArray, least: float) -> bool:

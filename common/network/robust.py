@@ -88,6 +88,7 @@ def set_aside(samples: Samples, fit: Fit, refit: Callable[[Samples, bool], Fit])
     near = _near(_tree(samples.X), np.arange(n))
     many = _many(samples, fit, refit, near) if contamination.suspected(fit) else None
     if many is not None and many.noisy:
+        many = _with_returned(many, samples, refit)
         part = many.of(samples)
         return Cleaned(part, refit(part, False), many.outliers)
     if many is not None:
@@ -144,6 +145,18 @@ def _many(samples: Samples, fit: Fit, refit: Callable[[Samples, bool], Fit], nea
 def _judged(found: contamination.Reweighted, near: IntArray, noisy: bool) -> Many:
     kept = found.sizes <= SUSPECT * found.usual
     return Many(found.weights, kept | _company(found.residuals, ~kept, near), noisy)
+
+
+def _with_returned(many: Many, samples: Samples, refit: Callable[[Samples, bool], Fit]) -> Many:
+    """The same with points that are far off only as points at their places are, in a corner or alone."""
+    rows, out = np.flatnonzero(many.kept), many.outliers
+    residuals, deviations = _everywhere(samples, rows, refit(many.of(samples), True))
+    ratios = np.max(np.abs(residuals), axis=1) / deviations
+    usual = max(np.median(ratios[rows]) / 0.6745, np.quantile(ratios[rows], 0.9) / 1.645)
+    back = out[ratios[out] <= SUSPECT * usual]
+    weights, kept = many.weights.copy(), many.kept.copy()
+    weights[back], kept[back] = contamination.weights_of(ratios[back], usual), True
+    return Many(weights, kept, many.noisy)
 
 
 def _out(
