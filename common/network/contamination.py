@@ -103,7 +103,8 @@ def reweighted(residuals: FloatArray, refit: Callable[[FloatArray], FloatArray])
     weights = np.ones(len(residuals))
     for rounds in range(ROUNDS):
         sizes = np.max(np.abs(residuals), axis=1)
-        usual = float(np.median(sizes)) / NORMAL_MEDIAN
+        # Where most are told exactly, on a lattice or a plain, those that are not tell what is usual.
+        usual = float(np.median(sizes)) / NORMAL_MEDIAN or float(np.sqrt(np.mean(sizes**2))) or 1.0
         before, weights = weights, weights_of(sizes, usual)
         if rounds == ROUNDS - 1 or np.max(np.abs(weights - before)) < SETTLED:
             break

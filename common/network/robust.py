@@ -275,7 +275,8 @@ def weighed(
         samples.y - np.median(samples.y[near[:, 1:]], axis=1),
         lambda weights: _crosswise(replace(samples, weights=samples.weights * weights), fit),
     )
-    return _judged(found, near, believed.noisy)
+    many = _judged(found, near, believed.noisy)
+    return many if len(many.outliers) <= MOST * n else None
 
 
 def _crosswise(samples: Samples, fit: Callable[[Samples], Partition]) -> FloatArray:

@@ -56,6 +56,14 @@ def test_what_is_set_aside_is_named_and_what_is_right_stays() -> None:
     assert RBFNetwork().fit(X, y).outliers_.tolist() == wrong.tolist()
 
 
+def test_wrong_points_of_a_lattice_whose_neighbours_tell_most_points_exactly() -> None:
+    axis = np.linspace(0, 10, 70)
+    X = np.array(np.meshgrid(axis, axis)).reshape(2, -1).T
+    y = np.sin(X[:, 0])
+    y[::97] += 8.0
+    assert RBFNetwork().fit(X, y).outliers_.tolist() == list(range(0, len(y), 97))
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 @pytest.mark.parametrize("n", [200, 1000])
 @pytest.mark.parametrize("surface", [cliff, islands, rough_to_the_left])
