@@ -22,15 +22,16 @@ from common.network.selection import NOISY, Fit
 from common.surface import FloatArray, IntArray
 
 HEAVY = 4.0
-"""Kurtosis of the residuals, 3 for normal noise, from which there may be many wrong points."""
+"""Kurtosis of the residuals, 3 for normal noise, beyond which there may be many wrong points."""
 
 UPPER = 1.5
-"""The same of their upper decile, over what it is for normal noise: many wrong points at one height have no tail."""
+"""The same of their upper decile, over what normal noise makes of it: many wrong points at one height have no tail."""
 
 CAUCHY = 2.385
 """Usual deviations at which a point counts for half."""
 
 ROUNDS = 15
+"""Weighings, at most; each but the last costs a fit."""
 
 SETTLED = 0.05
 """Change of a weight below which no further round is worth its fit."""
@@ -58,6 +59,9 @@ COMPANY = 1 / 3
 
 CHANCE = 2.0
 """Standard errors beyond chance to which those that are far off may have company."""
+
+ROUNDING = 1e-12
+"""Least usual deviation, in that of the values."""
 
 NORMAL_MEDIAN, NORMAL_UPPER = 0.6745, 1.645
 """Median and upper decile of the sizes of normal errors of deviation one."""
@@ -104,7 +108,7 @@ def reweighted(residuals: FloatArray, refit: Callable[[FloatArray], FloatArray])
     for rounds in range(ROUNDS):
         sizes = np.max(np.abs(residuals), axis=1)
         # Where most are told exactly, on a lattice or a plain, those that are not tell what is usual.
-        usual = float(np.median(sizes)) / NORMAL_MEDIAN or float(np.sqrt(np.mean(sizes**2))) or 1.0
+        usual = max(float(np.median(sizes)) / NORMAL_MEDIAN or float(np.sqrt(np.mean(sizes**2))), ROUNDING)
         before, weights = weights, weights_of(sizes, usual)
         if rounds == ROUNDS - 1 or np.max(np.abs(weights - before)) < SETTLED:
             break

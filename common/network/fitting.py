@@ -252,7 +252,7 @@ def _train_sparse(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
     """Few centres among many points: a sample chooses the kernel, all points the centres."""
     rows = np.sort(np.random.default_rng(0).permutation(len(samples))[: search.CLIMBED])
     tick("selection", 0.0)
-    suspects = robust.screen(samples.X, samples.y)
+    suspects = robust.screen(robust.tree_of(samples.X), samples.y)
     rows = np.setdiff1d(rows, suspects)
     few = samples.take(rows)
     fit = _select(few, wanted, tick)
@@ -303,16 +303,16 @@ def _thin(trained: Trained, network: Expansion, samples: Samples, wanted: Wanted
 
 def _train_partition(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
     notes: tuple[str, ...] = ()
-    few = search.neighbourhoods(samples.X)
+    tree = robust.tree_of(samples.X)
     many = robust.weighed(
         samples,
-        few,
+        tree,
         lambda part, quick: _select(part, wanted, tick, quick=quick),
         lambda part: _partition(part, wanted, tick),
     )
     if many is not None and many.noisy:
         return _partitioned(many.of(samples), many.outliers, None, wanted, tick)
-    outliers = robust.screen(samples.X, samples.y) if many is None else many.outliers
+    outliers = robust.screen(tree, samples.y) if many is None else many.outliers
     network: Partition | None = None
     if wanted.smoothing is not None:
         kept = samples.without(outliers)

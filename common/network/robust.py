@@ -7,6 +7,7 @@ network without them knows the others far better. In the end the two readings ar
 points belong to the surface, or the suspects are drawn from anywhere within twice the range of the values. So a peak,
 which is far off but well explained, stays. Wrong points know nothing of each other: where more neighbours of a suspect
 are far off on the same side than chance allows, they are an island, or the edge of a cliff, and none of them is wrong.
+Where many points may be wrong `common.network.contamination` is asked first.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from common.network import contamination, evaluation
 from common.network.contamination import MOST
 from common.network.dense import Dense
 from common.network.partition import Partition
+from common.network.search import neighbourhoods
 from common.network.selection import NOISY, Fit, Samples
 from common.surface import BoolArray, FloatArray, IntArray
 
@@ -85,7 +87,7 @@ def set_aside(samples: Samples, fit: Fit, refit: Callable[[Samples, bool], Fit])
     whole = Cleaned(samples, fit, np.zeros(0, dtype=np.int64))
     if n < 10:
         return whole
-    near = _near(_tree(samples.X), np.arange(n))
+    near = _near(tree_of(samples.X), np.arange(n))
     many = _many(samples, fit, refit, near) if contamination.suspected(fit) else None
     if many is not None and many.noisy:
         many = _with_returned(many, samples, refit)
@@ -202,19 +204,19 @@ def _out(
     return np.flatnonzero(~(kept | agreed))
 
 
-def screen(X: FloatArray, y: FloatArray) -> IntArray:
-    """Rows of points (n, d) whose values (n, k) are far off those of their neighbours; for many points.
+def screen(tree: KDTree, y: FloatArray) -> IntArray:
+    """Rows of the tree's n points whose values (n, k) are far off those of their neighbours; for many points.
 
     Far off is measured by the neighbours' own scatter and by what is usual everywhere. No network is fitted.
     """
-    tree = _tree(X)
-    some = np.random.default_rng(0).permutation(len(X))[:GLANCE]
+    some = np.random.default_rng(0).permutation(tree.n)[:GLANCE]
     if not _far_off(y, _near(tree, some)).any():
         return np.zeros(0, dtype=np.int64)
-    return np.flatnonzero(_far_off(y, _near(tree, np.arange(len(X)))))
+    return np.flatnonzero(_far_off(y, _near(tree, np.arange(tree.n))))
 
 
-def _tree(X: FloatArray) -> KDTree:
+def tree_of(X: FloatArray) -> KDTree:
+    """What finds the neighbours of points (n, d)."""
     return KDTree(X, balanced_tree=False, compact_nodes=False)
 
 
@@ -253,21 +255,21 @@ def _together(away: FloatArray, around: FloatArray, share: float) -> BoolArray:
 
 
 def weighed(
-    samples: Samples, few: IntArray, refit: Callable[[Samples, bool], Fit], fit: Callable[[Samples], Partition]
+    samples: Samples, tree: KDTree, refit: Callable[[Samples, bool], Fit], fit: Callable[[Samples], Partition]
 ) -> Many | None:
     """The same as `set_aside` asks first, of so many points that `fit` cuts them; None where few or none are wrong.
 
-    The rows `few` tell whether many are wrong, then halves of all samples tell of each other which.
+    Some of the samples tell whether many are wrong, then the halves of all tell of each other which.
     """
-    tree, n = _tree(samples.X), len(samples)
+    n = len(samples)
     near = _near(tree, np.random.default_rng(0).permutation(n)[:GLANCE])
     if not contamination.heavy(samples.y[near[:, 0]] - np.median(samples.y[near[:, 1:]], axis=1), UNEVEN):
         return None
-    part = samples.take(few)
+    part = samples.take(neighbourhoods(tree))
     first = refit(part, True)
     if not contamination.suspected(first):
         return None
-    believed = _many(part, first, refit, _near(_tree(part.X), np.arange(len(part))))
+    believed = _many(part, first, refit, _near(tree_of(part.X), np.arange(len(part))))
     if believed is None:
         return None
     near = _near(tree, np.arange(n))
@@ -294,7 +296,7 @@ def cross_checked(samples: Samples, fit: Callable[[Samples], Partition]) -> IntA
     residuals = _crosswise(samples, fit)
     suspect = ~_kept(residuals, np.ones(len(samples)))
     if suspect.any():
-        suspect &= ~_company(residuals, suspect, _near(_tree(samples.X), np.arange(len(samples))))
+        suspect &= ~_company(residuals, suspect, _near(tree_of(samples.X), np.arange(len(samples))))
     return np.flatnonzero(suspect)
 
 

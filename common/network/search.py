@@ -126,7 +126,7 @@ def fit(
     ladder = next((start for start in _starts(ranked, np.inf) if start.kind.family == "ladder"), None)
     if n > CLIMBED and not quick:
         anywhere = _is_smooth(starts[0], mean_spacing(few.X))
-        near = samples.take(np.sort(order[:CLIMBED]) if anywhere else neighbourhoods(samples.X))
+        near = samples.take(np.sort(order[:CLIMBED]) if anywhere else neighbourhoods(KDTree(samples.X)))
         search = _Search(near, spreads, smoothest, TRIALS, lambda share: tick(0.2 + 0.2 * share))
         found = search.climb(starts, free, ladder)
         # The closer the points, the rougher a surface may look.
@@ -145,11 +145,10 @@ def fit(
     return search.climb(starts, free, ladder)
 
 
-def neighbourhoods(X: FloatArray) -> IntArray:
-    """`CLIMBED` rows of X (n, d): the neighbourhoods of a few points, always the same."""
-    order = np.random.default_rng(0).permutation(len(X))
-    tree, size = KDTree(X), CLIMBED // NEIGHBOURHOODS
-    rows = tree.query(X[order[:NEIGHBOURHOODS]], k=size)[1]
+def neighbourhoods(tree: KDTree) -> IntArray:
+    """`CLIMBED` rows of the tree's n points: the neighbourhoods of a few points, always the same."""
+    order, size = np.random.default_rng(0).permutation(tree.n), CLIMBED // NEIGHBOURHOODS
+    rows = tree.query(tree.data[order[:NEIGHBOURHOODS]], k=size)[1]
     found = np.unique(rows)
     # Where neighbourhoods overlap the points that are missing come from anywhere.
     rest = order[~np.isin(order, found)]
