@@ -48,7 +48,7 @@ EXPLAINED = 0.8
 FAR = 4.0
 """Usual deviations from which points are asked for what is beside them."""
 
-MANY = 4
+MANY = 8
 """So many of them; fewer are looked for one by one."""
 
 BESIDE = 6

@@ -196,7 +196,7 @@ def _out(
             agreed[rows] = True
     agreed |= _within_tail(*seen, kept)
     company = _company(seen[0], ~agreed, near)
-    if company.any():
+    if company.any() and not many:
         # What was far off from the surface without them may be not with them.
         kept = kept | agreed | company
         seen = _look(samples, kept, refit)
