@@ -21,7 +21,7 @@ from scipy.spatial import KDTree
 from scipy.special import bdtrc
 
 from common.network import contamination, evaluation
-from common.network.contamination import MOST
+from common.network.contamination import MOST, NORMAL_MEDIAN, NORMAL_UPPER
 from common.network.dense import Dense
 from common.network.partition import Partition
 from common.network.search import neighbourhoods
@@ -154,7 +154,7 @@ def _with_returned(many: Many, samples: Samples, refit: Callable[[Samples, bool]
     rows, out = np.flatnonzero(many.kept), many.outliers
     residuals, deviations = _everywhere(samples, rows, refit(many.of(samples), True))
     ratios = np.max(np.abs(residuals), axis=1) / deviations
-    usual = max(np.median(ratios[rows]) / 0.6745, np.quantile(ratios[rows], 0.9) / 1.645)
+    usual = _usual(ratios[rows])
     back = out[ratios[out] <= SUSPECT * usual]
     weights, kept = many.weights.copy(), many.kept.copy()
     weights[back], kept[back] = contamination.weights_of(ratios[back], usual), True
@@ -233,9 +233,9 @@ def _far_off(y: FloatArray, near: IntArray, deviations: float = SUSPECT) -> Bool
     for values in y.T:
         around, column = values[near[:, 1:]], values[near[:, 0]]
         middle = np.median(around, axis=1)
-        scatter = np.median(np.abs(around - middle[:, None]), axis=1) / 0.6745
+        scatter = np.median(np.abs(around - middle[:, None]), axis=1) / NORMAL_MEDIAN
         away = np.abs(column - middle)
-        typical = np.quantile(away, 0.9) / 1.645
+        typical = np.quantile(away, 0.9) / NORMAL_UPPER
         suspect = (away > deviations * np.maximum(scatter, typical)) & (away > HARMLESS * values.std())
         if deviations >= SUSPECT:
             # What is less far off may have slopes for company.
@@ -305,7 +305,7 @@ def agreeing(network: Partition, samples: Samples, rows: IntArray) -> BoolArray:
     away = np.abs(samples.y[rows] - network.predict(samples.X[rows]))
     kept = np.setdiff1d(np.arange(len(samples)), rows)
     probes = kept[:: max(1, len(kept) // 10_000)]
-    noise = np.quantile(np.abs(samples.y[probes] - network.predict(samples.X[probes])), 0.9, axis=0) / 1.645
+    noise = np.quantile(np.abs(samples.y[probes] - network.predict(samples.X[probes])), 0.9, axis=0) / NORMAL_UPPER
     return np.asarray(np.all(away <= SUSPECT * np.hypot(network.predict_std(samples.X[rows]), noise), axis=1))
 
 
@@ -315,10 +315,16 @@ def _kept(
     """Which points are not suspected, by what is typical of the `usual` points, by default of all."""
     largest = np.max(np.abs(residuals), axis=1)
     ratios = largest / deviations
-    known = ratios if usual is None else ratios[usual]
-    # The upper quantile keeps the heavy tails of real terrain from being suspected.
-    typical = max(np.median(known) / 0.6745, np.quantile(known, 0.9) / 1.645)
+    typical = _usual(ratios if usual is None else ratios[usual])
     return np.asarray((ratios <= SUSPECT * typical) | (largest <= harmless))
+
+
+def _usual(sizes: FloatArray) -> float:
+    """Deviation that is usual among errors of these sizes (n,): the greater of what their median and decile say.
+
+    The upper decile keeps the heavy tails of real terrain from being suspected.
+    """
+    return max(float(np.median(sizes)) / NORMAL_MEDIAN, float(np.quantile(sizes, 0.9)) / NORMAL_UPPER)
 
 
 def _within_tail(residuals: FloatArray, deviations: FloatArray, kept: BoolArray) -> BoolArray:
@@ -346,7 +352,7 @@ def _worst(residuals: FloatArray, deviations: FloatArray, kept: BoolArray, near:
     The worst of all is tried where it is less far off: among few points it spoils the median, too.
     """
     ratios = np.where(kept, np.max(np.abs(residuals), axis=1) / deviations, 0.0)
-    typical = np.median(ratios[kept]) / 0.6745
+    typical = np.median(ratios[kept]) / NORMAL_MEDIAN
     far = (ratios > SUSPECT * typical) & (ratios >= ratios[near].max(axis=1))
     return np.asarray(far | ((ratios == ratios.max()) & (ratios > WORST * typical)))
 
