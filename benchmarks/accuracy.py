@@ -207,14 +207,8 @@ def wild(seeds: int) -> None:
             for n in (100, 400, 2000):
                 rows = []
                 for seed in range(min(seeds, 5)):
-                    rng = np.random.default_rng(seed)
-                    cloud = SURFACES[name].sample(rng, n + 2000)
-                    X, y, Q, z = cloud[:n, :2], cloud[:n, 2], cloud[n:, :2], cloud[n:, 2]
-                    y = y + level * np.ptp(z) * rng.normal(size=n)
-                    wrong = np.zeros(n, dtype=bool)
-                    wrong[rng.permutation(n)[: n // 20]] = True
+                    X, y, spoilt, wrong, Q, z = _spoilt(name, n, level, 0.05, "wild", seed)
                     clean = RBFNetwork().fit(X, y)
-                    spoilt = np.where(wrong, rng.uniform(-5, 5, n) * np.ptp(z), y)
                     found, error = _set_aside(X, spoilt, Q, z, wrong)
                     others = rmse(z, ours(X[~wrong], y[~wrong], Q))
                     rows.append([error / rmse(z, clean.predict(Q)), error / others, found[0], len(clean.outliers_) / n])
@@ -258,7 +252,7 @@ def real(seeds: int) -> None:
 
 
 def many(seeds: int) -> None:
-    """Many wrong points: NRMSE over that of the other points alone."""
+    """Many wrong points: RMSE over that of the other points alone."""
     shares = (0.05, 0.1, 0.2, 0.3, 0.4)
     print(
         "Many wrong points, gross (off by up to half the range) and wild (anywhere within five): RMSE over that of the"
@@ -269,7 +263,9 @@ def many(seeds: int) -> None:
     for name in ("surface-3", "peaks"):
         for n in (100, 400, 2000):
             for level in (0.0, 0.01):
-                figures = {kind: [_spoilt(name, n, level, share, kind, seeds) for share in shares] for kind in WRONG}
+                figures = {
+                    kind: [_beside_others(name, n, level, share, kind, seeds) for share in shares] for kind in WRONG
+                }
                 print(
                     f"  {name:10s} {n:5d} noise {level:4.0%} "
                     + "   ".join(f"{kind} " + " ".join(f"{v:7.3g}" for v in row) for kind, row in figures.items()),
@@ -284,18 +280,26 @@ WRONG: dict[str, Callable[[FloatArray, float, np.random.Generator], FloatArray]]
 """What wrong points are instead of the values, of which the span is given."""
 
 
-def _spoilt(name: str, n: int, level: float, share: float, kind: str, seeds: int) -> float:
+def _spoilt(
+    name: str, n: int, level: float, share: float, kind: str, seed: int
+) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray, FloatArray, FloatArray]:
+    """Positions, values, the same with a share of wrong ones, which are wrong; places to ask and what is true there."""
+    rng = np.random.default_rng(seed)
+    cloud = SURFACES[name].sample(rng, n + 2000)
+    z = cloud[n:, 2]
+    extent = float(np.ptp(z))
+    y = cloud[:n, 2] + level * extent * rng.normal(size=n)
+    wrong = np.zeros(n, dtype=bool)
+    wrong[rng.permutation(n)[: round(share * n)]] = True
+    return cloud[:n, :2], y, np.where(wrong, WRONG[kind](y, extent, rng), y), wrong, cloud[n:, :2], z
+
+
+def _beside_others(name: str, n: int, level: float, share: float, kind: str, seeds: int) -> float:
+    """RMSE from spoilt values over that from the right ones alone, median over the seeds."""
     ratios = []
     for seed in range(min(seeds, 5)):
-        rng = np.random.default_rng(seed)
-        cloud = SURFACES[name].sample(rng, n + 2000)
-        X, Q, z = cloud[:n, :2], cloud[n:, :2], cloud[n:, 2]
-        extent = float(np.ptp(z))
-        y = cloud[:n, 2] + level * extent * rng.normal(size=n)
-        wrong = np.zeros(n, dtype=bool)
-        wrong[rng.permutation(n)[: round(share * n)]] = True
-        heights = ours(X, np.where(wrong, WRONG[kind](y, extent, rng), y), Q)
-        ratios.append(rmse(z, heights) / rmse(z, ours(X[~wrong], y[~wrong], Q)))
+        X, y, spoilt, wrong, Q, z = _spoilt(name, n, level, share, kind, seed)
+        ratios.append(rmse(z, ours(X, spoilt, Q)) / rmse(z, ours(X[~wrong], y[~wrong], Q)))
     return float(np.median(ratios))
 
 

@@ -509,8 +509,7 @@ def create_app(settings: Settings | None = None, *, train: Train = SurfaceModel.
     app.state.settings = known
     app.state.surfaces = None
     app.state.pages = {name: _read_page(name) for name in ("index.html", "docs.html")}
-    given_seed = known.model_dump(include={"seed"}, exclude_unset=True)
-    app.state.channel = Channel.from_json({"spec": known.channel} | given_seed)
+    app.state.channel = Channel.given(known.channel, known.seed if "seed" in known.model_fields_set else None)
     app.include_router(api)
     install(app)
     # The last one added stands outermost.

@@ -26,6 +26,7 @@ from common.wire import WireOptions
 from sender.app import create_app
 from sender.client import ReceiverClient, Sent
 from sender.features import Extracted, Repeated
+from sender.options import Columns, NoDataHeight, labels_of
 from sender.readers import read_points
 from sender.settings import Settings
 from sender.surfaces import SURFACES, names_file
@@ -99,17 +100,8 @@ def send(
         ),
     ] = "extrema",
     seed: Annotated[int, typer.Option(help="Seed the cloud is drawn from.")] = 0,
-    columns: Annotated[
-        str | None,
-        typer.Option(metavar="X,Y,Z", help="Columns of a file, by name or number from 0, for example lon,lat,depth."),
-    ] = None,
-    no_data: Annotated[
-        str | None,
-        typer.Option(
-            metavar="HEIGHT",
-            help="Leave out a file's points of this height, and those without any; nan for only the latter.",
-        ),
-    ] = None,
+    columns: Columns = None,
+    no_data: NoDataHeight = None,
     repeated: Annotated[
         Repeated,
         typer.Option(help="What a position with several heights is: refused (error), or their mean, min or max."),
@@ -146,7 +138,7 @@ def send(
     wait: Annotated[bool, typer.Option("--wait", help="Wait until the receiver has trained its network.")] = False,
 ) -> None:
     """Send a surface, or a file of points, to a receiver."""
-    harm = Channel.from_json({"spec": channel} | ({} if channel_seed is None else {"seed": channel_seed}))
+    harm = Channel.given(channel, channel_seed)
     wire = {
         "datagram": datagram,
         "precision": int(precision) if precision.isdecimal() else precision,
@@ -165,7 +157,7 @@ def send(
         gap=gap,
         kind=kind,
         repeated=repeated,
-        columns=None if columns is None else [label.strip() for label in columns.split(",")],
+        columns=labels_of(columns),
         no_data=no_data,
         xy_unit=xy_unit,
         z_unit=z_unit,

@@ -161,8 +161,7 @@ def channel(
     ] = None,
 ) -> None:
     """Put a channel between any client and any receiver; GET and PUT /v1/channel steer it."""
-    harm = Channel.from_json({"spec": spec} | ({} if seed is None else {"seed": seed}))
-    proxy = create_proxy(upstream, harm)
+    proxy = create_proxy(upstream, Channel.given(spec, seed))
     with listen("127.0.0.1", port) as listener:
         console.print(f"channel   {url_of(listener)}", highlight=False, soft_wrap=True)
         console.print(f"upstream  {upstream}", highlight=False, soft_wrap=True)

@@ -27,6 +27,7 @@ import sender
 import simulator
 from common.errors import ParameterError
 from common.extras import is_installed
+from sender.options import Columns, NoDataHeight, labels_of
 from sender.surfaces import names_file
 from simulator import report
 from simulator.baselines import BASELINES
@@ -129,8 +130,8 @@ def plan_of_options(
     Raises ParameterError where an option is out of place.
     """
     plan: dict[str, Any] = {}
-    labels = None if columns is None else [label.strip() for label in columns.split(",")]
-    reading = {key: value for key, value in {"columns": labels, "no_data": no_data}.items() if value is not None}
+    settings = {"columns": labels_of(columns), "no_data": no_data}
+    reading = {key: value for key, value in settings.items() if value is not None}
     if reading and not any(map(names_file, surface or ())):
         raise ParameterError("--columns and --no-data go with a file of points that --surface names")
     if surface:
@@ -204,17 +205,8 @@ def sweep_command(
         list[str] | None,
         typer.Option(metavar="NAME|FILE", help="A surface (`sender surfaces` lists them), or points; may be repeated."),
     ] = None,
-    columns: Annotated[
-        str | None,
-        typer.Option(metavar="X,Y,Z", help="Columns of files, by name or number from 0, for example lon,lat,depth."),
-    ] = None,
-    no_data: Annotated[
-        str | None,
-        typer.Option(
-            metavar="HEIGHT",
-            help="Leave out files' points of this height, and those without any; nan for only the latter.",
-        ),
-    ] = None,
+    columns: Columns = None,
+    no_data: NoDataHeight = None,
     channel: Annotated[
         list[str] | None,
         typer.Option(metavar="SPEC", help='A channel, for example "gaussian:std=0.1;erasure:p=0.05"; may be repeated.'),

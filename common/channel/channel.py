@@ -97,6 +97,11 @@ class Channel:
         return cls(impairments, seed if own is None else own)
 
     @classmethod
+    def given(cls, text: str, seed: int | None) -> Self:
+        """A channel from the short form and a seed; raises ChannelError where the text has another seed."""
+        return cls.from_json({"spec": text} if seed is None else {"spec": text, "seed": seed})
+
+    @classmethod
     def from_json(cls, document: object, seed: int = 0) -> Self:
         """A channel from a decoded JSON document (see `to_json`) or a short string; raises ChannelError."""
         impairments, own = parse_json(document)

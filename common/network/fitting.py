@@ -303,12 +303,16 @@ def _thin(trained: Trained, network: Expansion, samples: Samples, wanted: Wanted
 
 def _train_partition(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
     notes: tuple[str, ...] = ()
+
+    def cut(part: Samples) -> Partition:
+        return _partition(part, wanted, tick)
+
     tree = robust.tree_of(samples.X)
     many = robust.weighed(
         samples,
         tree,
         lambda part, quick: _select(part, wanted, tick, quick=quick),
-        lambda part: _partition(part, wanted, tick),
+        cut,
     )
     if many is not None and many.noisy:
         return _partitioned(many.of(samples), many.outliers, None, wanted, tick)
@@ -316,7 +320,7 @@ def _train_partition(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
     network: Partition | None = None
     if wanted.smoothing is not None:
         kept = samples.without(outliers)
-        network = _partition(kept, wanted, tick)
+        network = cut(kept)
         why = f"it leaves {BEYOND:g} times the range of the values" if not _bounded(network, kept) else ""
         if not why and wanted.smoothing < CLEAN and _misses(network, kept):
             why = "rounding keeps it off the points"
@@ -326,10 +330,10 @@ def _train_partition(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
     if len(outliers):
         # Where some points are wild there are others that the neighbours could not tell.
         rows = np.setdiff1d(np.arange(len(samples)), outliers)
-        more = robust.cross_checked(samples.take(rows), lambda part: _partition(part, wanted, tick))
+        more = robust.cross_checked(samples.take(rows), cut)
         outliers, network = np.union1d(outliers, rows[more]), None
     if len(outliers):
-        network = _partition(samples.without(outliers), wanted, tick)
+        network = cut(samples.without(outliers))
         agreed = robust.agreeing(network, samples, outliers)
         if agreed.any():
             outliers, network = outliers[~agreed], None
@@ -342,7 +346,8 @@ def _partitioned(
     samples: Samples, outliers: IntArray, network: Partition | None, wanted: Wanted, tick: Tick
 ) -> Trained:
     """The partition of the samples, if there is none yet, or one network of merged ones."""
-    network = network or _partition(samples, wanted, tick)
+    if network is None:
+        network = _partition(samples, wanted, tick)
     trained = Trained(network, outliers, np.zeros(0))
     if wanted.free:
         _coarsen(trained, network, samples, wanted, tick)
