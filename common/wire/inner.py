@@ -58,7 +58,7 @@ def recover(datagrams: ByteArray, strength: int) -> ByteArray:
     """(count, size) coded datagrams with their errors corrected, those that can be."""
     size = datagrams.shape[1]
     depth = _depth(size)
-    words, _ = correct(_words(datagrams, strength), strength)
+    words = correct(_words(datagrams, strength), strength)
     out = datagrams.copy()
     data = size - depth * strength
     out[:, :data] = _interleave(words[:, :-strength], depth)[:, depth * (words.shape[1] - strength) - data :]

@@ -11,7 +11,7 @@ from functools import cache, lru_cache
 
 import numpy as np
 
-from common.surface import BoolArray, IntArray
+from common.surface import IntArray
 from common.wire.gf256 import ORDER, ByteArray, inverse, multiply, powers
 
 MAX_WORD = 255
@@ -45,20 +45,20 @@ def encode(data: ByteArray, parity: int) -> ByteArray:
     return remainder
 
 
-def correct(words: ByteArray, parity: int) -> tuple[ByteArray, BoolArray]:
-    """Corrected copies of (words, n) code words, and which of them are code words now.
+def correct(words: ByteArray, parity: int) -> ByteArray:
+    """Corrected copies of (words, n) code words.
 
     A word with more than parity / 2 wrong bytes is left as it is, or (rarely) becomes another code word: only a
     checksum can tell.
     """
-    out, good = words.copy(), np.zeros(len(words), dtype=bool)
+    out = np.empty_like(words)
     for start in range(0, len(words), BATCH):
         batch = slice(start, start + BATCH)
-        out[batch], good[batch] = _correct(words[batch], parity)
-    return out, good
+        out[batch] = _correct(words[batch], parity)
+    return out
 
 
-def _correct(words: ByteArray, parity: int) -> tuple[ByteArray, BoolArray]:
+def _correct(words: ByteArray, parity: int) -> ByteArray:
     syndromes = _syndromes(words, parity)
     locator, degree = _berlekamp_massey(syndromes)
     n = words.shape[1]
@@ -75,8 +75,7 @@ def _correct(words: ByteArray, parity: int) -> tuple[ByteArray, BoolArray]:
     derivative[:, 1::2] = 0
     numerator = multiply(_evaluate(omega, places), inverse(roots)[None, :])
     errors = multiply(numerator, inverse(_evaluate(derivative, places)))
-    out = np.where(wrong & solvable[:, None], words ^ errors, words)
-    return out, solvable & ~_syndromes(out, parity).any(axis=1)
+    return np.where(wrong & solvable[:, None], words ^ errors, words)
 
 
 def _syndromes(words: ByteArray, parity: int) -> ByteArray:
