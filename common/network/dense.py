@@ -66,8 +66,8 @@ class Dense:
         bias = plain.sum(axis=0) / self.one.sum()
         return plain - np.outer(self.one, bias), bias
 
-    def leave_one_out(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Residuals (n, k) and their variances over the signal variance (n,)."""
+    def leave_one_out(self, coefficients: FloatArray) -> Residuals:
+        """`Residuals` at the samples, each left out by itself; coefficients (n, k) as `solve` gave them."""
         alone, _ = self.left_out(coefficients, *NO_TWINS)
         return alone
 

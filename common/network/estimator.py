@@ -28,7 +28,7 @@ NARROWEST, WIDEST = 1e-9, 1e9
 SMOOTHEST = 1e9
 """Greatest smoothing: the surface is as good as the mean of the values there."""
 
-_KINDS: dict[str, type[Expansion] | type[Partition] | type[Lifted]] = {
+_KINDS: dict[str, type[Expansion | Partition | Lifted]] = {
     "expansion": Expansion,
     "partition": Partition,
     "lifted": Lifted,

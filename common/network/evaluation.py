@@ -20,8 +20,8 @@ from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
-from scipy.spatial.distance import cdist
 
+from common.network.kernel import SQUARINGS, squared_distances
 from common.network.threads import parallel
 from common.surface import FloatArray, IntArray
 
@@ -46,8 +46,8 @@ CALL = 1_000_000
 CROWDED = 1e6
 """Spreads in half an axis from where on its Chebyshev nodes are not counted: on no grid would so many pay."""
 
-_SQUARINGS = 4
-"""Levels taken by squaring before a fresh exponential: each squaring doubles the relative rounding error."""
+FAITHFUL = 39
+"""Minus the logarithm of the error of Chebyshev nodes: exp(-39) is 1e-17, below rounding."""
 
 
 def evaluate_grid(
@@ -118,7 +118,7 @@ def chebyshev_count(ratio: float) -> int:
     m nodes falls like that times rho^-m, for the best rho.
     """
     rho = np.exp(np.logspace(-3, 1.5, 200))
-    return int(np.ceil(np.min((ratio**2 * (rho - 1 / rho) ** 2 / 8 + 39) / np.log(rho))))
+    return int(np.ceil(np.min((ratio**2 * (rho - 1 / rho) ** 2 / 8 + FAITHFUL) / np.log(rho))))
 
 
 def _add_refined(
@@ -298,7 +298,7 @@ def _levels(
     beyond = np.maximum(np.maximum(X.min(axis=0) - centers, centers - X.max(axis=0)), 0.0)
     distance = np.einsum("nd,nd->n", beyond, beyond)
     near = np.arange(len(centers))
-    r2 = np.asarray(cdist(X, centers, "sqeuclidean"))
+    r2 = squared_distances(X, centers)
     matrix: FloatArray | None = None
     squared, wider = 0, np.inf
     for level in np.argsort(-spreads, kind="stable"):
@@ -307,7 +307,7 @@ def _levels(
         if np.count_nonzero(reached) < 0.8 * len(near):
             near, r2 = near[reached], r2[:, reached]
             matrix = None if matrix is None else matrix[:, reached]
-        if matrix is not None and squared < _SQUARINGS and abs((wider / spread) ** 2 - 2) < 1e-12:
+        if matrix is not None and squared < SQUARINGS and abs((wider / spread) ** 2 - 2) < 1e-12:
             np.square(matrix, out=matrix)
             squared += 1
         else:

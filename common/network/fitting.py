@@ -308,12 +308,7 @@ def _train_partition(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
         return _partition(part, wanted, tick)
 
     tree = robust.tree_of(samples.X)
-    many = robust.weighed(
-        samples,
-        tree,
-        lambda part, quick: _select(part, wanted, tick, quick=quick),
-        cut,
-    )
+    many = robust.weighed(samples, tree, lambda part, quick: _select(part, wanted, tick, quick=quick), cut)
     if many is not None and many.noisy:
         return _partitioned(many.of(samples), many.outliers, None, wanted, tick)
     outliers = robust.screen(tree, samples.y) if many is None else many.outliers

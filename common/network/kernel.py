@@ -23,7 +23,7 @@ LADDER_LEVELS = 17
 FINEST = 0.2
 """The finest spread, in mean spacings: a Gaussian that does not reach the next point any more."""
 
-_SQUARINGS = 4
+SQUARINGS = 4
 """Levels taken by squaring before a fresh exponential: each squaring doubles the relative rounding error."""
 
 _CACHED = 16_384
@@ -75,7 +75,7 @@ def level_matrices(r2: FloatArray, spreads: FloatArray) -> list[FloatArray]:
     matrices: list[FloatArray] = []
     squared = 0
     for level, spread in enumerate(spreads):
-        if level and squared < _SQUARINGS and _is_one_step(spreads[level - 1], spread):
+        if level and squared < SQUARINGS and _is_one_step(spreads[level - 1], spread):
             matrices.append(np.square(matrices[-1]))
             squared += 1
         else:
@@ -106,9 +106,9 @@ def upper_sum_of_levels(r2: FloatArray, spreads: FloatArray, amplitudes: FloatAr
 def _levels(r2: FloatArray, spreads: FloatArray, amplitudes: FloatArray) -> FloatArray:
     """The sum at a contiguous piece of `r2`; levels next to each other share an exponential."""
     current, scratch, total = np.empty_like(r2), np.empty_like(r2), np.zeros_like(r2)
-    squared = _SQUARINGS
+    squared = SQUARINGS
     for level, (spread, amplitude) in enumerate(zip(spreads, amplitudes, strict=True)):
-        if level and squared < _SQUARINGS and _is_one_step(spreads[level - 1], spread):
+        if level and squared < SQUARINGS and _is_one_step(spreads[level - 1], spread):
             np.square(current, out=current)
             squared += 1
         else:

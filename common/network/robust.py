@@ -28,6 +28,9 @@ from common.network.search import neighbourhoods
 from common.network.selection import NOISY, Fit, Samples
 from common.surface import BoolArray, FloatArray, IntArray
 
+FEWEST = 10
+"""Points below which none is suspected: so few do not tell what is usual among them."""
+
 SUSPECT = 8.0
 """Robust deviations beyond which a point is suspected: smaller errors do little harm, and are found in real terrain."""
 
@@ -85,7 +88,7 @@ def set_aside(samples: Samples, fit: Fit, refit: Callable[[Samples, bool], Fit])
     """The samples without the wrong points; the given ones and their fit where there are none."""
     n = len(samples)
     whole = Cleaned(samples, fit, np.zeros(0, dtype=np.int64))
-    if n < 10:
+    if n < FEWEST:
         return whole
     near = _near(tree_of(samples.X), np.arange(n))
     many = _many(samples, fit, refit, near) if contamination.suspected(fit) else None

@@ -182,17 +182,18 @@ def amplitudes(kind: Kind, spreads: FloatArray) -> FloatArray:
 FAINT = 1e-10
 """Amplitudes below this share of the greatest are left out."""
 
-WIDEST: dict[Family, float] = {"single": 0.5, "multiquadric": 0.5}
-"""Greatest parameter, as a share of the extent of the points: beyond it a Gaussian is a polynomial, which fits
-the points and runs away between them."""
+WIDEST = 0.5
+"""Greatest parameter of a kernel that is no ladder, as a share of the extent of the points: beyond it a Gaussian is a
+polynomial, which fits the points and runs away between them."""
 
 
 def families(spreads: FloatArray, extent: float) -> list[Kind]:
     """Every kind of kernel worth a trial; `spreads` descending, `extent` the points' (`kernel.span`)."""
     finest = float(spreads.min())
+    narrow = [s for s in spreads.tolist() if s <= max(finest, WIDEST * extent)]
     return [
-        *(Kind("single", s) for s in spreads.tolist() if s <= max(finest, WIDEST["single"] * extent)),
-        *(Kind("multiquadric", s) for s in spreads.tolist() if s <= max(finest, WIDEST["multiquadric"] * extent)),
+        *(Kind("single", s) for s in narrow),
+        *(Kind("multiquadric", s) for s in narrow),
         *(Kind("ladder", h) for h in ROUGHNESS),
         *(Kind("ladder", h, reach * extent) for h in ORDERS for reach in REACHES if reach * extent > finest),
     ]
