@@ -170,17 +170,17 @@ def noise(seeds: int) -> None:
         rng = np.random.default_rng(seed)
         cloud = SURFACES["surface-3"].sample(rng, 4000)
         X, y, Q, z = cloud[:2000, :2], cloud[:2000, 2], cloud[2000:, :2], cloud[2000:, 2]
-        span = 4.0
+        extent = 4.0
         noisy = rmse(z, ours(X, y + 0.05 * rng.normal(size=2000), Q))
         wrong = np.zeros(2000, dtype=bool)
         wrong[rng.permutation(2000)[:40]] = True
         spoilt = y + 0.01 * rng.normal(size=2000)
-        spoilt[wrong] += rng.uniform(-span / 2, span / 2, 40)
+        spoilt[wrong] += rng.uniform(-extent / 2, extent / 2, 40)
         found, error = _set_aside(X, spoilt, Q, z, wrong)
         rows.append([noisy, error, *found])
         base = rmse(z, ours(X, y, Q))
         wrong[rng.permutation(2000)[:100]] = True
-        wild = np.where(wrong, rng.uniform(-5, 5, 2000) * span, y)
+        wild = np.where(wrong, rng.uniform(-5, 5, 2000) * extent, y)
         found, error = _set_aside(X, wild, Q, z, wrong)
         rows[-1] += [base, error, *found]
     a = np.median(rows, axis=0)
@@ -190,7 +190,7 @@ def noise(seeds: int) -> None:
 
 
 def _set_aside(
-    X: FloatArray, y: FloatArray, Q: FloatArray, z: FloatArray, wrong: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    X: FloatArray, y: FloatArray, Q: FloatArray, z: FloatArray, wrong: BoolArray
 ) -> tuple[tuple[float, float], float]:
     network = RBFNetwork().fit(X, y)
     aside = np.zeros(len(X), dtype=bool)

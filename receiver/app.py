@@ -5,6 +5,7 @@ from __future__ import annotations
 from base64 import b64encode
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequence
 from contextlib import asynccontextmanager
+from dataclasses import asdict
 from functools import partial
 from hashlib import sha256
 from http import HTTPStatus
@@ -251,8 +252,8 @@ async def get_features(
     def table() -> Table:
         about = {
             "id": name,
-            "region": schemas.RegionInfo.of(features.region).model_dump(),
-            "units": schemas.UnitsInfo.of(features.units).model_dump(),
+            "region": asdict(features.region),
+            "units": asdict(features.units),
             "gap": features.gap,
             "kind": features.kind,
         }

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
 import msgpack
@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from common.errors import NotAcceptableError
 from common.extras import is_installed
-from common.surface import FloatArray, HeightGrid, Units
+from common.surface import FloatArray, HeightGrid
 from common.wire import MEDIA_TYPE, MEDIA_TYPES
 from receiver.picture import Style, picture
 
@@ -88,7 +88,7 @@ class Format(Generic[Content]):
         return is_installed(self.needs)
 
 
-def little_endian(values: npt.NDArray[Any]) -> bytes:
+def _little_endian(values: npt.NDArray[Any]) -> bytes:
     """The bytes of C-ordered little-endian float64."""
     return np.ascontiguousarray(values, dtype="<f8").tobytes()
 
@@ -135,7 +135,7 @@ def _npy(values: npt.NDArray[Any]) -> Iterator[bytes]:
     yield buffer.getvalue()
 
 
-def _npz(arrays: dict[str, npt.NDArray[Any]]) -> Iterator[bytes]:
+def _npz(arrays: Mapping[str, npt.NDArray[Any]]) -> Iterator[bytes]:
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, **arrays)
     yield buffer.getvalue()
@@ -146,16 +146,12 @@ def _msgpack(value: dict[str, Any]) -> Iterator[bytes]:
     yield packed
 
 
-def _units(units: Units) -> dict[str, str]:
-    return {"xy": units.xy, "z": units.z}
-
-
 def _grid_json(answer: GridAnswer) -> Iterator[bytes]:
     grid = answer.grid
     members: list[tuple[str, Any]] = [
         ("id", answer.name),
         ("shape", list(grid.shape)),
-        ("units", _units(grid.units)),
+        ("units", asdict(grid.units)),
         ("x", grid.x),
         ("y", grid.y),
         ("z", grid.z),
@@ -184,12 +180,12 @@ def _grid_msgpack(answer: GridAnswer) -> Iterator[bytes]:
         "id": answer.name,
         "shape": list(grid.shape),
         "dtype": "<f8",
-        "units": _units(grid.units),
-        "x": little_endian(grid.x),
-        "y": little_endian(grid.y),
-        "z": little_endian(grid.z),
+        "units": asdict(grid.units),
+        "x": _little_endian(grid.x),
+        "y": _little_endian(grid.y),
+        "z": _little_endian(grid.z),
     }
-    return _msgpack(value | ({"std": little_endian(answer.std)} if answer.std is not None else {}))
+    return _msgpack(value | ({"std": _little_endian(answer.std)} if answer.std is not None else {}))
 
 
 def _grid_png(answer: GridAnswer) -> Iterator[bytes]:
@@ -244,11 +240,11 @@ def _table_npy(table: Table) -> Iterator[bytes]:
 
 
 def _table_npz(table: Table) -> Iterator[bytes]:
-    return _npz(dict(table.columns))
+    return _npz(table.columns)
 
 
 def _table_msgpack(table: Table) -> Iterator[bytes]:
-    packed = {name: little_endian(values) for name, values in table.columns.items()}
+    packed = {name: _little_endian(values) for name, values in table.columns.items()}
     return _msgpack(table.about | {"dtype": "<f8"} | packed)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import threading
 from dataclasses import dataclass
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias
 
 import matplotlib as mpl
 import numpy as np
@@ -21,8 +21,6 @@ from common.surface import FloatArray, HeightGrid
 
 Palette: TypeAlias = Literal["viridis", "cividis", "magma", "inferno", "plasma", "gray"]
 """Colour maps whose steps look as large as they are, from low to high."""
-
-PALETTES: tuple[Palette, ...] = get_args(Palette)
 
 SUN = (-0.5, 0.5, float(np.sqrt(0.5)))
 """Direction of the light: from the upper left, where readers of maps expect it, at 45 degrees."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -30,7 +31,7 @@ class RegionInfo(Answer):
     @classmethod
     def of(cls, region: Region) -> RegionInfo:
         """From the data type."""
-        return cls(x_min=region.x_min, x_max=region.x_max, y_min=region.y_min, y_max=region.y_max)
+        return cls(**asdict(region))
 
 
 class UnitsInfo(Answer):
@@ -42,7 +43,7 @@ class UnitsInfo(Answer):
     @classmethod
     def of(cls, units: Units) -> UnitsInfo:
         """From the data type."""
-        return cls(xy=units.xy, z=units.z)
+        return cls(**asdict(units))
 
 
 class Contents(Answer):

@@ -238,13 +238,13 @@ class Surfaces:
 
     def _reassembly(self, name: str) -> tuple[Row | None, Reassembly]:
         """What has arrived of `name`, from memory or from disk."""
-        rows = self.store.find(name)
-        if rows is None:
+        row = self.store.find(name)
+        if row is None:
             return None, Reassembly(name)
         reassembly = self._reassemblies.get(name)
         if reassembly is None:
             reassembly = Reassembly(name)
-            for arrival in self.store.arrivals(rows.n):
+            for arrival in self.store.arrivals(row.n):
                 decoder = PacketDecoder()
                 try:
                     packets = [*decoder.feed(arrival), *decoder.close()]
@@ -252,7 +252,7 @@ class Surfaces:
                     raise WrittenByNewer(name, error) from error
                 for packet in packets:
                     reassembly.add(packet)
-        return rows, reassembly
+        return row, reassembly
 
     # Training
 

@@ -6,6 +6,7 @@ import logging
 import uuid
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from dataclasses import asdict
 from functools import partial
 from http import HTTPStatus
 from typing import Annotated, Any, Literal, TypeAlias
@@ -38,8 +39,8 @@ from sender.transmission import Order, Prepared, deliver, prepare
 
 logger = logging.getLogger(__name__)
 
-MULTIPART_OVERHEAD = 64 << 10
-"""What a form may hold beside its file: boundaries, headers, the order."""
+MAX_ORDER_BYTES = 64 << 10
+"""Of an order that comes alone, and of what a form may hold beside its file: boundaries, headers, the order."""
 
 
 class SurfaceOut(BaseModel):
@@ -163,8 +164,8 @@ def surfaces() -> list[SurfaceOut]:
             title=surface.title,
             points=surface.points,
             gap=surface.gap,
-            region=dict(zip(("x_min", "x_max", "y_min", "y_max"), surface.region.bounds, strict=True)),
-            units={"xy": surface.units.xy, "z": surface.units.z},
+            region=asdict(surface.region),
+            units=asdict(surface.units),
         )
         for surface in SURFACES.values()
     ]
@@ -174,7 +175,7 @@ def surfaces() -> list[SurfaceOut]:
     "/transmissions",
     status_code=HTTPStatus.ACCEPTED,
     summary="Send a surface, or an uploaded file, to the receiver",
-    responses={status: PROBLEMS[status] for status in (404, 413, 415, 422)},
+    responses=PROBLEMS,
     openapi_extra={
         "requestBody": {
             "required": True,
@@ -206,10 +207,10 @@ async def send(
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     upload = None
     if kind == "application/json":
-        order = _parse(await _body(request, MULTIPART_OVERHEAD))
+        order = _parse(await _body(request, MAX_ORDER_BYTES))
     elif kind == "multipart/form-data":
         declared = request.headers.get("content-length", "")
-        if not declared.isdecimal() or int(declared) > settings.max_upload_bytes + MULTIPART_OVERHEAD:
+        if not declared.isdecimal() or int(declared) > settings.max_upload_bytes + MAX_ORDER_BYTES:
             raise LimitError(f"an upload must declare its length, at most {settings.max_upload_bytes} bytes")
         async with request.form(max_files=1, max_fields=1) as form:
             file, text = form.get("file"), form.get("order")

@@ -16,7 +16,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from common.errors import FileFormatError, LimitError, PointsError
-from common.surface import FloatArray, as_points
+from common.surface import BoolArray, FloatArray, as_points
 from sender.tables import Table, is_number, shown
 
 NoData: TypeAlias = Literal["nan"] | float
@@ -175,7 +175,7 @@ def _cloud(values: np.ndarray[Any, Any], place: Callable[[int], str], name: str,
     return Cloud(points, tuple(notes))
 
 
-def _stands_for_none(z: FloatArray, no_data: float) -> np.ndarray[Any, np.dtype[np.bool_]]:
+def _stands_for_none(z: FloatArray, no_data: float) -> BoolArray:
     return np.isclose(z, no_data, rtol=1e-7, atol=0.0)  # many heights were a float32
 
 
