@@ -9,7 +9,6 @@ R. Franke, "Scattered data interpolation: tests of some methods", Math. Comp. 38
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from typing import Protocol
 import numpy as np
 from matplotlib.cbook import get_sample_data
 
-from common.errors import NotFoundError, ParameterError
+from common.errors import NotFoundError, ParameterError, hint
 from common.surface import FloatArray, HeightGrid, Region, Units
 
 METRES_PER_DEGREE = 111_200.0
@@ -272,12 +271,9 @@ SURFACES: Mapping[str, Surface] = MappingProxyType({surface.name: surface for su
 
 def find_surface(name: str) -> Surface:
     """The surface of that name; raises NotFoundError that lists the names."""
-    try:
-        return SURFACES[name]
-    except KeyError:
-        close = difflib.get_close_matches(name, SURFACES, n=1)
-        hint = f"did you mean {close[0]}? " if close else ""
-        raise NotFoundError(f"no surface is called {name!r}; {hint}known are {', '.join(SURFACES)}") from None
+    if name not in SURFACES:
+        raise NotFoundError(f"no surface is called {name!r}{hint(name, SURFACES)}")
+    return SURFACES[name]
 
 
 def names_file(name: str) -> bool:

@@ -167,7 +167,7 @@ def test_a_receiver_that_is_down_is_a_failed_transmission_not_a_lost_one() -> No
 @pytest.mark.parametrize(
     ("request_", "status", "detail"),
     [
-        ({"json": {"surface": "surface1"}}, 404, "did you mean surface-1"),
+        ({"json": {"surface": "surface1"}}, 404, "did you mean 'surface-1'"),
         ({"json": {}}, 422, "name a surface or give a file"),
         ({"json": {"surface": "surface-1", "gap": -1}}, 422, "gap: Input should be greater than 0"),
         ({"json": {"surface": "surface-1", "gap": 5}}, 422, "larger than the region"),

@@ -33,7 +33,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *ar
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["surface1"], "did you mean surface-1?"),
+        (["surface1"], "did you mean 'surface-1'?"),
         (["surface-1", "--gap", "5"], "larger than the region"),
         (["surface-1", "--gap", "0.001"], "nearly all of them empty"),
         (["surface-1", "--gap", "1e-9"], "at most 16000000"),

@@ -52,7 +52,7 @@ def test_the_elevation_grid_has_north_up_and_is_in_metres() -> None:
 
 
 def test_a_wrong_name_lists_the_right_ones() -> None:
-    with pytest.raises(NotFoundError, match=r"did you mean surface-1\?.*elevation"):
+    with pytest.raises(NotFoundError, match=r"did you mean 'surface-1'\?.*elevation"):
         find_surface("surface1")
 
 
