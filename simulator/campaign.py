@@ -19,6 +19,7 @@ from common.channel import Channel, PointImpairment
 from common.errors import MissingExtraError, NotFoundError, ParameterError, hint
 from common.problems import invalid_fields
 from common.wire import WireOptions
+from common.wire.limits import DEFAULT_DATAGRAM, MAX_DATAGRAM
 from sender.features import Extracted
 from sender.readers import NoData
 from sender.surfaces import MOST_POINTS, find_surface
@@ -119,7 +120,7 @@ class CodecSettings(Settings):
     codec: str
     protection: str = "none"
     budget: int = Field(ge=16)
-    datagram: int = Field(default=256, ge=16, le=1400)
+    datagram: int = Field(default=DEFAULT_DATAGRAM, ge=16, le=MAX_DATAGRAM)
 
     @model_validator(mode="after")
     def _exists(self) -> Self:

@@ -23,7 +23,13 @@ from simulator.baselines import BASELINES, reconstruct
 
 NETWORK = "network"
 
-_METHOD = re.compile(r"(?P<name>[^\[\]@]+)(\[(?P<settings>[^\[\]]*)\])?(?P<cloud>@cloud)?")
+NAMES = tuple(dict.fromkeys((NETWORK, *BASELINES)))
+"""Every method, the product's own first."""
+
+ON_CLOUD = "@cloud"
+"""Ends a method that is given the cloud."""
+
+_METHOD = re.compile(rf"(?P<name>[^\[\]@]+)(\[(?P<settings>[^\[\]]*)\])?(?P<cloud>{ON_CLOUD})?")
 
 
 @dataclass(frozen=True)
@@ -57,10 +63,9 @@ class Method:
 def parse_method(text: str) -> Method:
     """The method that `text` names; raises ParameterError that says what is accepted."""
     match = _METHOD.fullmatch(text)
-    known = [NETWORK, *(name for name in BASELINES if name != NETWORK)]
-    if match is None or match["name"] not in known:
+    if match is None or match["name"] not in NAMES:
         raise ParameterError(
-            f"{text!r} is not a method{hint(match['name'] if match else text, known)}, "
+            f"{text!r} is not a method{hint(match['name'] if match else text, NAMES)}, "
             "network[spread=0.3,smoothing=0], each also with @cloud"
         )
     if match["settings"] is not None and match["name"] != NETWORK:

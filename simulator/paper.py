@@ -30,14 +30,14 @@ from sender.features import extract_features, piece_of
 from sender.surfaces import Surface, find_surface
 from simulator.campaign import Campaign, Trial
 from simulator.folder import make_folder
-from simulator.methods import parse_method
+from simulator.methods import NETWORK, ON_CLOUD, parse_method
 from simulator.page import STYLE, TableCell, data_script, page, png, table
 from simulator.progress import progress_bar
 from simulator.runner import Progress, Result, Row, Run, silent
 from simulator.statistics import Quartiles, group, text
 from simulator.trial import direct, run_trial
 
-OURS = "network"
+OURS = NETWORK
 PRINTED = "network[spread=0.3,smoothing=0]"
 LITERAL = "network[mapping=autoassociative]"
 TRADITIONAL = "cubic"
@@ -216,7 +216,7 @@ def draw_single(surface: Surface, panel: Panel, limits: Limits) -> Figure:
 
 def trials(seeds: int, grid: tuple[int, int], readings: Sequence[str]) -> list[Trial]:
     """What the table needs: every reading under every noise, `seeds` samples of each."""
-    from_features = [method for method in METHODS if not method.endswith("@cloud")]
+    from_features = [method for method in METHODS if not method.endswith(ON_CLOUD)]
 
     def plan(noises: Sequence[str], methods: Sequence[str]) -> list[Trial]:
         channels = [
@@ -306,7 +306,7 @@ def _comparable(errors: Mapping[Key, Errors], network: str) -> list[Finding]:
     found = []
     for surface in _surfaces(errors):
         ours = errors[surface, "clean", network].nrmse.median
-        dense = errors[surface, "clean", f"{TRADITIONAL}@cloud"].nrmse.median
+        dense = errors[surface, "clean", f"{TRADITIONAL}{ON_CLOUD}"].nrmse.median
         found.append(Finding(surface, f"{ours:.4f} against {dense:.4f}", ours <= COMPARABLE * dense))
     return found
 
@@ -397,7 +397,7 @@ def _claims_html(errors: Mapping[Key, Errors]) -> str:
 
 def _errors_html(errors: Mapping[Key, Errors], surface: Surface, seeds: int) -> str:
     shown = [noise for noise in NOISES if (surface.name, noise, OURS) in errors]
-    sent = [method for method in METHODS if not method.endswith("@cloud")]
+    sent = [method for method in METHODS if not method.endswith(ON_CLOUD)]
     best = {noise: min(errors[surface.name, noise, method].nrmse.median for method in sent) for noise in shown}
 
     def cell(method: str, noise: str) -> TableCell:

@@ -26,19 +26,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from common.channel import Channel
-from simulator.page import (
-    STYLE,
-    TableCell,
-    illustration,
-    line_style,
-    page,
-    svg,
-    table,
-)
+from simulator.methods import NETWORK, ON_CLOUD
+from simulator.page import STYLE, TableCell, illustration, line_style, page, svg, table
 from simulator.runner import Row
 from simulator.statistics import Quartiles, group, number, text
-
-NETWORK = "network"
 
 WIDTH = 6.4
 """Least width of a figure, in inches; so are the two that follow, of a legend's line and of a letter."""
@@ -248,7 +239,7 @@ def draw_time(rows: Sequence[Row], seconds: Sequence[float | None]) -> Figure | 
         if taken is None or row["failure"] is not None or row["features_received"] is None:
             continue
         method = text(row, "method")
-        given = number(row, "points" if method.endswith("@cloud") else "features_received")
+        given = number(row, "points" if method.endswith(ON_CLOUD) else "features_received")
         # Losses scatter the number of points: binned to a third of an octave, a line stays a line.
         size = 2 ** (round(3 * math.log2(given)) / 3)
         cells.setdefault(method, {}).setdefault(size, []).append(taken)
@@ -345,7 +336,7 @@ def contests(rows: Sequence[Row]) -> list[Contest]:
     That line is the first of a network with the receiver's settings, or the first network there is. Methods on the
     unharmed cloud are left out.
     """
-    fair = [_of_a_budget(row) for row in rows if not str(row["method"]).endswith("@cloud")]
+    fair = [_of_a_budget(row) for row in rows if not text(row, "method").endswith(ON_CLOUD)]
     budgets = {row["budget"] for row in fair}
     line_of = Lines(fair)
     networks = [row for row in fair if text(row, "method").startswith(NETWORK)]
@@ -536,7 +527,7 @@ def render(rows: Sequence[Row], words: Words, seconds: Sequence[float | None] | 
     seconds : time of each row, in the order of `rows`, None where it was not measured; the plot of times is left out
         where none was.
     """
-    sent = [row for row in rows if not str(row["method"]).endswith("@cloud")]
+    sent = [row for row in rows if not text(row, "method").endswith(ON_CLOUD)]
     parts = [f"<h1>{escape(words.title)}</h1>", f'<p class="lead">{escape(words.lead)}</p>', _tried(rows)]
     parts.append(f"<pre>{escape(words.command)}</pre>")
     cells = contests(rows)
@@ -579,7 +570,7 @@ def _bytes_html(rows: Sequence[Row]) -> list[str]:
     cells = group(clean, lambda row: (text(row, "surface"), row["wire"], row["sends"], text(row, "method")))
     sized = _nested(
         (
-            (surface, _sized_line(of[0]), float(np.median([number(row, "bytes") for row in of]))),
+            (surface, _sized_line(of[0]), _median(of, "bytes")),
             Quartiles.of([row["nrmse"] for row in of]),
         )
         for (surface, *_), of in cells.items()

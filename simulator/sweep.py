@@ -30,10 +30,9 @@ from common.extras import is_installed
 from sender.options import Columns, NoDataHeight, labels_of
 from sender.surfaces import names_file
 from simulator import report
-from simulator.baselines import BASELINES
 from simulator.campaign import Campaign
 from simulator.folder import make_folder
-from simulator.methods import NETWORK
+from simulator.methods import NAMES
 from simulator.progress import progress_bar
 from simulator.runner import Journal, Progress, Result, Row, Run, silent
 from simulator.table import to_csv, write_parquet
@@ -213,9 +212,7 @@ def sweep_command(
     ] = None,
     method: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME", help=f"One of {', '.join(dict.fromkeys((NETWORK, *BASELINES)))}; may be repeated."
-        ),
+        typer.Option(metavar="NAME", help=f"One of {', '.join(NAMES)}; may be repeated."),
     ] = None,
     points: Annotated[int | None, typer.Option(help="Points of the cloud that features are chosen from.")] = None,
     gap: Annotated[float | None, typer.Option(help="Segment gap, in the units of x and y.")] = None,

@@ -6,6 +6,7 @@ which none of these can make use. Their own headers stay where they are needed; 
 
 from __future__ import annotations
 
+import struct
 from typing import Any, Literal
 
 import numpy as np
@@ -145,8 +146,8 @@ def _frequencies(shape: tuple[int, int]) -> IntArray:
     return np.argsort((rows / shape[0]) ** 2 + (columns / shape[1]) ** 2, axis=None, kind="stable")
 
 
-DCT_FIELDS = 8
-"""Bytes of step and count, between the header and the deflated coefficients."""
+DCT = struct.Struct("<fI")
+"""Step and count, between the header and the deflated coefficients."""
 
 
 def encode_dct(z: FloatArray, setting: Setting) -> bytes:
@@ -159,19 +160,19 @@ def encode_dct(z: FloatArray, setting: Setting) -> bytes:
     folded = np.where(levels >= 0, 2 * levels, -2 * levels - 1)[:count]
     wide = folded >= 255
     body = np.where(wide, 255, folded).astype(np.uint8).tobytes() + folded[wide].astype("<u4").tobytes()
-    return write_header(z) + np.float32(step).tobytes() + np.uint32(count).tobytes() + deflate(body)
+    return write_header(z) + DCT.pack(step, count) + deflate(body)
 
 
 def decode_dct(data: bytes, lost: BoolArray) -> FloatArray:  # noqa: ARG001
     """The inverse, of what can be inflated."""
     header, rest = read_header(data)
     shape = header.shape
-    if len(rest) < DCT_FIELDS:
-        raise PacketError(f"the transform's step and count take {DCT_FIELDS} bytes, {len(rest)} are left")
-    step, count = float(np.frombuffer(rest[:4], "<f4")[0]), int(np.frombuffer(rest[4:8], "<u4")[0])
+    if len(rest) < DCT.size:
+        raise PacketError(f"the transform's step and count take {DCT.size} bytes, {len(rest)} are left")
+    step, count = DCT.unpack_from(rest)
     size = shape[0] * shape[1]
     count = min(count, size)
-    body = inflate(rest[8:], 5 * count)
+    body = inflate(rest[DCT.size :], 5 * count)
     folded = np.frombuffer(body[:count], dtype=np.uint8).astype(np.int64)
     wide = np.flatnonzero(folded == 255)
     folded[wide] = np.frombuffer(body[count : count + 4 * len(wide)], dtype="<u4")

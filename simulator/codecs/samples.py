@@ -34,6 +34,12 @@ from simulator.codecs.message import (
 LATTICE = struct.Struct("<BB")
 """Samples along the longer side, bits a sample."""
 
+MESH = struct.Struct("<HB")
+"""Nodes of a mesh less one, bits a height."""
+
+POINT = struct.Struct("<fff")
+"""A point of the cloud: column, row, height."""
+
 BITS = (3, 4, 5, 6, 7, 8, 10, 12)
 """Bits a sample that are tried."""
 
@@ -75,12 +81,12 @@ def decode_cloud(data: bytes, lost: BoolArray) -> FloatArray:
     """Points that are in no place they could be are dropped."""
     header, body = read_header(data)
     shape = header.shape
-    size = len(body) // 12
-    with np.errstate(invalid="ignore"):  # damage can make a signalling NaN
-        records = np.frombuffer(body[: 12 * size], dtype="<f4").reshape(size, 3).astype(np.float64)
-    whole = ~lost[HEADER.size :][: 12 * size].reshape(size, 12).any(axis=1)
+    size = len(body) // POINT.size
+    end = size * POINT.size
+    whole = ~lost[HEADER.size :][:end].reshape(size, POINT.size).any(axis=1)
     limits = np.array([shape[1] - 1, shape[0] - 1, 1.0])
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore"):  # damage can make a signalling NaN
+        records = np.frombuffer(body[:end], dtype="<f4").reshape(size, 3).astype(np.float64)
         points = records[whole & np.all((records >= 0) & (records <= limits), axis=1)]
     if not len(points):
         raise PacketError("no point is left")
@@ -297,20 +303,20 @@ def encode_mesh(z: FloatArray, setting: Setting) -> bytes:
     samples = np.rint(heights.ravel()[index] * (2**bits - 1)).astype(np.int64)
     gaps, steps = np.diff(index, prepend=-1) - 1, np.diff(samples, prepend=0) % (1 << bits)
     body = _gap_bytes(gaps) + _planes(steps)
-    return write_header(z) + struct.pack("<HB", len(index) - 1, bits) + deflate(body)
+    return write_header(z) + MESH.pack(len(index) - 1, bits) + deflate(body)
 
 
 def decode_mesh(data: bytes, lost: BoolArray) -> FloatArray:  # noqa: ARG001 - a stream cannot use it
     """Linear on the Delaunay triangles of the nodes."""
     header, rest = read_header(data)
     shape = header.shape
-    if len(rest) < 3:
+    if len(rest) < MESH.size:
         raise PacketError("the message ends within its header")
-    count, bits = struct.unpack_from("<HB", rest)
+    count, bits = MESH.unpack_from(rest)
     count += 1
     if not 1 <= bits <= 16:
         raise PacketError(f"heights of {bits} bits cannot be")
-    body = inflate(rest[3:], 3 * count + shape[0] * shape[1] // 255)
+    body = inflate(rest[MESH.size :], 3 * count + shape[0] * shape[1] // 255)
     gaps, used = _gaps(body, count)
     index = np.cumsum(gaps + 1) - 1
     samples = np.cumsum(_unplaned(body[used : used + 2 * count].ljust(2 * count, b"\0"), count)) % (1 << bits)

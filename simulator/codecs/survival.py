@@ -18,11 +18,9 @@ from common.channel import Channel, PointImpairment
 from common.errors import ChannelError
 from common.metrics import nrmse
 from common.surface import BoolArray, FloatArray
+from common.wire.limits import DEFAULT_DATAGRAM
 from simulator.codecs import Failure, Message, Sandbox, decode
 from simulator.codecs.protection import Protection, find_protection
-
-DATAGRAM = 256
-"""Bytes of a datagram, unless another number is asked for."""
 
 TRANSPORT = frozenset({"duplication", "reordering", "delay", "jitter", "rate"})
 """Impairments that numbering the datagrams undoes."""
@@ -69,7 +67,9 @@ class Survival:
         return float(np.median(self.decoded)) if self.decoded else None
 
 
-def received(data: bytes, channel: Channel, *, transmission: str, datagram: int = DATAGRAM) -> tuple[bytes, BoolArray]:
+def received(
+    data: bytes, channel: Channel, *, transmission: str, datagram: int = DEFAULT_DATAGRAM
+) -> tuple[bytes, BoolArray]:
     """(bytes as long as `data`, which of them are lost) at the other end of a channel; lost bytes are zeros."""
     packets = [data[start : start + datagram] for start in range(0, len(data), datagram)]
     delivery = channel.transmit(packets, transmission=transmission)
@@ -90,7 +90,7 @@ def expose(
     seeds: Sequence[int],
     *,
     protection: str = "none",
-    datagram: int = DATAGRAM,
+    datagram: int = DEFAULT_DATAGRAM,
     sandbox: Sandbox | None = None,
 ) -> Survival:
     """Send one message through a channel, once a seed.
