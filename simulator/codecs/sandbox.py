@@ -15,8 +15,8 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 from time import monotonic
-from types import TracebackType
 from typing import Any, Literal, Self, TypeAlias
 
 from common.errors import ParameterError
@@ -44,7 +44,7 @@ class Failure:
 
 @dataclass(slots=True)
 class _Child:
-    process: Any
+    process: BaseProcess
     pipe: Connection
     call: int = -1
     deadline: float = 0.0
@@ -83,9 +83,7 @@ class Sandbox:
             self._context.set_forkserver_preload(["simulator.codecs"])
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exc: object) -> None:
         while self._children:
             self._end(self._children[-1])
 
@@ -147,16 +145,16 @@ class Sandbox:
         if not busy:
             return
         left = min(child.deadline for child in busy.values()) - monotonic()
-        for pipe in wait(list(busy), max(0.0, left)):
-            child = busy.pop(pipe)  # type: ignore[call-overload]
-            call, child.call = child.call, -1
-            try:
-                results[call] = child.pipe.recv()
-            except (EOFError, OSError, pickle.UnpicklingError):
-                self._end(child)
-                results[call] = Failure("crash", _death(child.process.exitcode))
-        for child in busy.values():
-            if monotonic() >= child.deadline:
+        ended = wait(list(busy), max(0.0, left))
+        for pipe, child in busy.items():
+            if pipe in ended:
+                call, child.call = child.call, -1
+                try:
+                    results[call] = pipe.recv()
+                except (EOFError, OSError, pickle.UnpicklingError):
+                    self._end(child)
+                    results[call] = Failure("crash", _death(child.process.exitcode))
+            elif monotonic() >= child.deadline:
                 results[child.call] = Failure("timeout", f"took more than {self.seconds:g} s")
                 self._end(child)
 
