@@ -310,13 +310,14 @@ def test_the_columns_of_an_array_are_taken_by_number() -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        b"# x" + b" " * 20_000 + b"y\n1,2,3\n",
-        b"1,2,3\n4,5," + b"9" * 20_000 + b"x\n",
-        b"ncols 1\n" * 20_000,
+        b"# x" + b" " * 1_000_000 + b"y\n1,2,3\n",
+        b"1,2,3\n4,5," + b"9" * 1_000_000 + b"x\n",
+        b"ncols 1\n" * 125_000,
     ],
+    ids=["blanks", "digits", "headers"],
 )
 def test_long_runs_are_read_once(text: bytes) -> None:
-    # With a pattern that goes back over them these took minutes at 100 kB.
+    # With a pattern that goes back over them a megabyte takes hours, which no test is given.
     with contextlib.suppress(SurfacelinkError):
         parse_points(text, "a.csv")
 
