@@ -18,7 +18,7 @@ from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import IO, Any, Self
+from typing import IO, Any, Self, TypeAlias
 from zipfile import BadZipFile
 
 import numpy as np
@@ -72,7 +72,8 @@ SELECT s.n, s.id, s.created, s.updated, s.revision, s.features, s.settings, s.co
 FROM surfaces s LEFT JOIN models m ON m.surface = s.n
 """
 
-State = dict[str, npt.NDArray[Any]]
+State: TypeAlias = dict[str, npt.NDArray[Any]]
+"""The arrays of a model, by name."""
 
 
 @dataclass(frozen=True, slots=True)

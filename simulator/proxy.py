@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager
+from typing import TypeAlias
 
 import anyio
 import httpx
@@ -45,7 +46,7 @@ HOP_BY_HOP = frozenset(
 OF_THE_SERVER = (b"date", b"server")
 """Header fields that the server which runs the proxy writes itself; twice they would contradict each other."""
 
-Headers = list[tuple[bytes, bytes]]
+Headers: TypeAlias = list[tuple[bytes, bytes]]
 
 
 def create_proxy(

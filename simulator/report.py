@@ -115,7 +115,7 @@ def _apart(wire: str, wires: set[str]) -> list[str]:
     ]
 
 
-Curves = Mapping[str, Mapping[str, Sequence[tuple[float, Quartiles]]]]
+Curves: TypeAlias = Mapping[str, Mapping[str, Sequence[tuple[float, Quartiles]]]]
 """Surface -> line -> (level or other abscissa, distortion) in ascending order."""
 
 

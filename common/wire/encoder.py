@@ -227,12 +227,11 @@ def _boxes(features: FeatureSet) -> tuple[Interval | None, Interval | None, Inte
     z = Interval.covering(least[2], greatest[2])
     if z is None:
         return None
-    region = features.region
-    lows, highs = (region.x_min, region.y_min), (region.x_max, region.y_max)
-    if all(low <= a and b <= high for low, high, a, b in zip(lows, highs, least, greatest, strict=False)):
+    sides = _sides(features.region)
+    if all(low <= a and b <= high for (low, high), a, b in zip(sides, least, greatest, strict=False)):
         return None, None, z
     boxes = []
-    for low, high, a, b in zip(lows, highs, least, greatest, strict=False):
+    for (low, high), a, b in zip(sides, least, greatest, strict=False):
         reach = MAX_EXTENSION * (high - low)
         box = Interval.covering(min(a, low), max(b, high))
         if box is None or a < low - reach or b > high + reach:

@@ -23,9 +23,10 @@ _FLOAT32 = _DECIMAL + _MAX_DECIMALS + 1
 _FLOAT64 = _FLOAT32 + 1
 _EXACT = 2**53
 _TERSE_DIVISIONS = 127  # the most that one byte of a varint can say
-_RELATIVE_GRAIN = (
-    2.0**-44
-)  # finer than this against its offset, a range is rounding noise and the interval no longer exact
+_MAX_EXPONENT = 1000  # of an interval: within those of doubles, with room for its divisions
+
+_RELATIVE_GRAIN = 2.0**-44
+"""Finer than this against its offset, a range is rounding noise and the interval no longer exact."""
 
 
 def write_varint(value: int) -> bytes:
@@ -96,7 +97,7 @@ class Interval:
         if not math.isfinite(extent):
             return None
         exponent = math.frexp(extent)[1] - 7 if extent else 0
-        if not -1000 < exponent < 1000:
+        if not -_MAX_EXPONENT < exponent < _MAX_EXPONENT:
             return None
         for e in (exponent, exponent + 1):
             low = math.floor(math.ldexp(least, -e))
@@ -169,7 +170,8 @@ class Reader:
     def interval(self) -> Interval:
         """The next interval; PacketError unless it has finite bounds and an extent."""
         interval = Interval(self.signed(), self.signed(), self.varint())
-        if not (-1000 < interval.exponent <= 1000 and abs(interval.low) < _EXACT and 0 < interval.divisions < _EXACT):
+        far = not -_MAX_EXPONENT < interval.exponent <= _MAX_EXPONENT
+        if far or abs(interval.low) >= _EXACT or not 0 < interval.divisions < _EXACT:
             raise PacketError("a quantisation interval in the header is out of bounds")
         try:
             low, high = interval.bounds

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import accumulate, pairwise
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +20,7 @@ from common.wire.header import Form, Grid, Header
 
 _FLOATS: dict[Form, np.dtype[np.floating]] = {Form.FLOAT64: np.dtype("<f8"), Form.FLOAT32: np.dtype("<f4")}
 
-UintArray = npt.NDArray[np.uint64]
+UintArray: TypeAlias = npt.NDArray[np.uint64]
 
 
 def point_bits(header: Header) -> int:
