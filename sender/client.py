@@ -35,6 +35,9 @@ PROBES = 5
 """Signs of life that a receiver may owe one after the other, asked for `READ_TIMEOUT` apart and each given as long,
 before it counts as hanging: on a slow link they share the line with the body."""
 
+POLL = 0.1
+"""Seconds between two questions whether a surface is trained: what an eye takes for at once."""
+
 MAX_BODY_BYTES = 4 << 20
 """A longer run of packets is posted in several bodies: well below what the receiver accepts in one."""
 
@@ -229,8 +232,8 @@ class ReceiverClient:
             raise LinkError(f"{self.http.base_url} did not describe a surface; is it a receiver?")
         return description
 
-    async def wait_ready(self, transmission: str, *, timeout: float = 600.0, poll: float = 0.1) -> dict[str, Any]:
-        """Wait until a surface is trained, asking every `poll` seconds.
+    async def wait_ready(self, transmission: str, *, timeout: float = 600.0) -> dict[str, Any]:
+        """Wait until a surface is trained, asking again and again.
 
         Raises
         ------
@@ -239,7 +242,7 @@ class ReceiverClient:
         LinkError
             If it takes longer than about `timeout` seconds.
         """
-        for _ in range(max(1, round(timeout / poll))):
+        for _ in range(max(1, round(timeout / POLL))):
             surface = await self.surface(transmission)
             match surface["state"]:
                 case "ready":
@@ -249,7 +252,7 @@ class ReceiverClient:
                     raise TrainingError(problem.get("detail") or f"the receiver could not train {transmission}")
                 case "receiving":
                     raise TrainingError(f"nothing of {transmission} reached the receiver; send it again")
-            await self.sleep(poll)
+            await self.sleep(POLL)
         raise LinkError(f"{transmission} was not ready after {timeout:g} seconds")
 
     async def grid(self, transmission: str, shape: tuple[int, int]) -> HeightGrid:

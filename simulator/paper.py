@@ -102,20 +102,23 @@ class Panel:
 
 # The panels
 
+SEED = 0
+"""Of the cloud, the noise and the methods in the panels."""
 
-def panels(surface: Surface, *, seed: int = 0, shape: tuple[int, int] = (42, 42)) -> list[Panel]:
+
+def panels(surface: Surface, *, shape: tuple[int, int] = (42, 42)) -> list[Panel]:
     """The panels of one figure, lettered as in the paper; f* and i* are ours: the printed settings."""
     truth = surface.grid(shape)
-    cloud = surface.sample(np.random.default_rng(seed))
+    cloud = surface.sample(np.random.default_rng(SEED))
     clean = extract_features(cloud, gap=surface.gap, region=surface.region)
     options = WireOptions(precision="float64")
-    channel = Channel.parse(NOISES["xyz"][1].format(noise=surface.noise), seed=seed)
+    channel = Channel.parse(NOISES["xyz"][1].format(noise=surface.noise), seed=SEED)
     noisy = direct(clean, transmission=f"paper-{surface.name}", channel=channel, options=options).features
     if noisy is None:  # a channel of noise alone loses nothing
         raise RuntimeError("the noise channel lost the features")
 
     def grown(method: str, features: FeatureSet) -> tuple[FloatArray, str]:
-        z = parse_method(method).heights(features, truth, np.random.default_rng(seed))
+        z = parse_method(method).heights(features, truth, np.random.default_rng(SEED))
         return z, f"NRMSE {nrmse(truth.z, z):.4f}"
 
     low, high = _extrema(clean, surface)

@@ -102,10 +102,10 @@ class Channel:
         return cls.from_json({"spec": text} if seed is None else {"spec": text, "seed": seed})
 
     @classmethod
-    def from_json(cls, document: object, seed: int = 0) -> Self:
+    def from_json(cls, document: object) -> Self:
         """A channel from a decoded JSON document (see `to_json`) or a short string; raises ChannelError."""
-        impairments, own = parse_json(document)
-        return cls(impairments, seed if own is None else own)
+        impairments, seed = parse_json(document)
+        return cls(impairments, seed or 0)
 
     def to_json(self) -> dict[str, Any]:
         """``{"impairments": [{"kind": ..., parameters that are not at their default}], "seed": ...}``."""

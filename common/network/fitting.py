@@ -5,9 +5,9 @@ Everything here is in units of the samples' own extent (`selection.Samples`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -18,7 +18,7 @@ from common.network.autoassociative import Lifted
 from common.network.calibration import calibrated
 from common.network.expansion import Expansion
 from common.network.kernel import ladder_spreads, mean_spacing, nearest_distance, span
-from common.network.partition import CALM, PROBES, Partition, strays, tolerated
+from common.network.partition import CALM, PROBES, Partition, Tick, strays, tolerated
 from common.network.selection import (
     CLEAN,
     NOISY,
@@ -33,8 +33,6 @@ from common.network.selection import (
 )
 from common.network.threads import single_threaded_blas
 from common.surface import FloatArray, IntArray
-
-Tick: TypeAlias = Callable[[str, float], None]
 
 DENSE = 4000
 """Points up to which one network holds them all; more are cut into a partition of unity."""

@@ -40,7 +40,7 @@ def test_the_no_op_is_the_empty_channel() -> None:
 def test_the_seed_in_the_text_goes_before_the_default() -> None:
     assert Channel.parse("erasure:p=0.1", seed=4).seed == 4
     assert Channel.parse("erasure:p=0.1;seed=0", seed=4).seed == 0
-    assert Channel.from_json({"seed": 6}, seed=4).seed == 6
+    assert Channel.from_json({"seed": 6}).seed == 6
     assert Channel.from_json({"spec": "erasure:p=0.1", "seed": 6}) == Channel.parse("erasure:p=0.1;seed=6")
     assert Channel.from_json({"spec": "erasure:p=0.1;seed=5", "seed": 5}).seed == 5
 
