@@ -153,7 +153,7 @@ def _sides(text: str) -> tuple[int, int]:
     return int(found[1]), int(found[2] or found[1])
 
 
-DEFAULT_PLAN: Mapping[str, Any] = {
+DEFAULT_PLAN: Mapping[str, list[str]] = {
     "surfaces": ["surface-1", "surface-2", "surface-3"],
     "channels": ["clean", "gaussian:std=0.1,axes=z"],
     "methods": ["network", "linear", "cubic"],

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from numbers import Integral, Real
-from typing import Any, Literal, Self, TypeAlias
+from typing import Any, Literal, Self, TypeAlias, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -227,7 +227,13 @@ class RBFNetwork(Conventions):
         self.spread_ = float(spreads[0]) * scales.unit if len(spreads) == 1 else spreads * scales.unit
         self.smoothing_ = float(np.median(network.smoothing))
 
-    def predict(self, X: npt.ArrayLike, return_std: bool = False) -> Any:
+    @overload
+    def predict(self, X: npt.ArrayLike, return_std: Literal[False] = False) -> FloatArray: ...
+
+    @overload
+    def predict(self, X: npt.ArrayLike, return_std: Literal[True]) -> tuple[FloatArray, FloatArray]: ...
+
+    def predict(self, X: npt.ArrayLike, return_std: bool = False) -> FloatArray | tuple[FloatArray, FloatArray]:
         """Values at positions X (m, d), shape (m,) or (m, k); with `return_std` their deviation, too.
 
         The deviation is that of the surface, without the noise of a new measurement.
@@ -237,8 +243,21 @@ class RBFNetwork(Conventions):
         values = self._shaped(self._network.predict(inner) * scales.height + scales.level)
         return (values, self._shaped(self._network.predict_std(inner) * scales.height)) if return_std else values
 
-    def predict_grid(self, x: npt.ArrayLike, y: npt.ArrayLike, return_std: bool = False) -> Any:
-        """Values on a grid, shape (len(y), len(x)) or (len(y), len(x), k); positions must be in the plane."""
+    @overload
+    def predict_grid(self, x: npt.ArrayLike, y: npt.ArrayLike, return_std: Literal[False] = False) -> FloatArray: ...
+
+    @overload
+    def predict_grid(
+        self, x: npt.ArrayLike, y: npt.ArrayLike, return_std: Literal[True]
+    ) -> tuple[FloatArray, FloatArray]: ...
+
+    def predict_grid(
+        self, x: npt.ArrayLike, y: npt.ArrayLike, return_std: bool = False
+    ) -> FloatArray | tuple[FloatArray, FloatArray]:
+        """Values on a grid, shape (len(y), len(x)) or (len(y), len(x), k); with `return_std` their deviation, too.
+
+        Positions must be in the plane.
+        """
         self._check_fitted()
         if self.n_features_in_ != 2:
             raise PointsError(f"a grid needs positions in the plane; the network was fitted in {self.n_features_in_}")

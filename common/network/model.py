@@ -74,8 +74,7 @@ class SurfaceModel:
 
     def std(self, x: npt.ArrayLike, y: npt.ArrayLike) -> FloatArray:
         """Standard deviation of the heights, shape (len(y), len(x)), in the units of z."""
-        _, deviation = self.network.predict_grid(x, y, return_std=True)
-        return np.asarray(deviation)
+        return self.network.predict_grid(x, y, return_std=True)[1]
 
     def summary(self) -> dict[str, Any]:
         """What was trained, in types that JSON knows."""

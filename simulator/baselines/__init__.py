@@ -121,7 +121,7 @@ def _network(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NetworkWarning)  # its notes, which nobody could read here
         fitted = RBFNetwork(mapping=mapping).fit(points[:, :2], points[:, 2])
-    return np.asarray(fitted.predict_grid(x, y))
+    return fitted.predict_grid(x, y)
 
 
 _ALL = (

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from time import monotonic
-from typing import Any, Literal, Self, TypeAlias
+from typing import Any, Literal, Self, TypeAlias, TypeVar
 
 from common.errors import ParameterError
 from simulator.runner import WorkerError
@@ -32,6 +32,8 @@ STARTUP = 120.0
 """Seconds a child may take to start on a busy machine."""
 
 Kind: TypeAlias = Literal["crash", "timeout", "memory", "error"]
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,11 +89,11 @@ class Sandbox:
         while self._children:
             self._end(self._children[-1])
 
-    def run(self, function: Callable[..., Any], *arguments: Any) -> Any:
+    def run(self, function: Callable[..., Result], *arguments: Any) -> Result | Failure:
         """What `function(*arguments)` returns, or a Failure; `function` is importable, the arguments can be pickled."""
         return next(iter(self.map(function, [arguments])))
 
-    def map(self, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
+    def map(self, function: Callable[..., Result], calls: Sequence[tuple[Any, ...]]) -> Iterator[Result | Failure]:
         """For each of the calls, in their order, what `function(*call)` returns, or a Failure."""
         results: dict[int, Any] = {}
         pending = iter(range(len(calls)))
