@@ -15,28 +15,14 @@ from common.network.fitting import Wanted, train
 from common.network.partition import Partition
 from common.network.selection import Samples
 from common.surface import FloatArray
+from tests.common.network import surfaces
+from tests.common.network.surfaces import bowl, scattered, sine
 
 N = 8000
 
 
-def sine(X: FloatArray) -> FloatArray:
-    return np.asarray(np.sin(2 * X[:, 0]) + np.sin(2 * X[:, 1]))
-
-
-def bowl(X: FloatArray) -> FloatArray:
-    return np.asarray(-5 / (1 + np.square(X).sum(axis=1)))
-
-
 def rough(X: FloatArray) -> FloatArray:
-    """Waves of every length from 4 down to 0.1, each as steep as the others."""
-    rng = np.random.default_rng(7)
-    waves = rng.normal(size=(60, 2))
-    waves *= (2 * np.pi / np.geomspace(4, 0.1, 60) / np.linalg.norm(waves, axis=1))[:, None]
-    return np.asarray((np.sin(X @ waves.T + rng.uniform(0, 6, 60)) / np.linalg.norm(waves, axis=1)).sum(axis=1))
-
-
-def scattered(n: int, seed: int = 0) -> FloatArray:
-    return np.random.default_rng(seed).uniform(-2, 2, (n, 2))
+    return surfaces.rough(X, finest=0.1, count=60)
 
 
 def noisy(values: FloatArray, share: float) -> FloatArray:

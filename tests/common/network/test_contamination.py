@@ -10,12 +10,9 @@ import pytest
 from common.network import RBFNetwork, contamination
 from common.network.contamination import Reweighted, is_believed, reweighted
 from common.surface import FloatArray
+from tests.common.network.surfaces import sine
 
 QUERIES = np.random.default_rng(1).uniform(-1.8, 1.8, (1500, 2))
-
-
-def waves(X: FloatArray) -> FloatArray:
-    return np.asarray(np.sin(2 * X[:, 0]) + np.sin(2 * X[:, 1]))
 
 
 def cliff(X: FloatArray) -> FloatArray:
@@ -32,7 +29,7 @@ def rough_to_the_left(X: FloatArray) -> FloatArray:
 
 
 def error(X: FloatArray, y: FloatArray) -> float:
-    return float(np.sqrt(np.mean((RBFNetwork().fit(X, y).predict(QUERIES) - waves(QUERIES)) ** 2)))
+    return float(np.sqrt(np.mean((RBFNetwork().fit(X, y).predict(QUERIES) - sine(QUERIES)) ** 2)))
 
 
 @pytest.mark.parametrize("kind", ["gross", "wild"])
@@ -41,7 +38,7 @@ def error(X: FloatArray, y: FloatArray) -> float:
 def test_the_surface_is_that_of_the_right_points(n: int, share: float, noise: float, kind: str) -> None:
     rng = np.random.default_rng(11)
     X = rng.uniform(-2, 2, (n, 2))
-    y = waves(X) + noise * rng.normal(size=n)
+    y = sine(X) + noise * rng.normal(size=n)
     wrong = rng.random(n) < share
     spoilt = np.where(wrong, y + rng.uniform(-2, 2, n) if kind == "gross" else rng.uniform(-20, 20, n), y)
     assert error(X, spoilt) <= 1.5 * error(X[~wrong], y[~wrong])
@@ -50,7 +47,7 @@ def test_the_surface_is_that_of_the_right_points(n: int, share: float, noise: fl
 def test_what_is_set_aside_is_named_and_what_is_right_stays() -> None:
     rng = np.random.default_rng(12)
     X = rng.uniform(-2, 2, (500, 2))
-    y = waves(X) + 0.02 * rng.normal(size=500)
+    y = sine(X) + 0.02 * rng.normal(size=500)
     wrong = np.sort(rng.permutation(500)[:125])
     y[wrong] += rng.choice([-1, 1], 125) * rng.uniform(1, 9, 125)
     assert RBFNetwork().fit(X, y).outliers_.tolist() == wrong.tolist()
@@ -83,7 +80,7 @@ def test_normal_noise_is_not_asked_twice(monkeypatch: pytest.MonkeyPatch) -> Non
     rng = np.random.default_rng(15)
     X = rng.uniform(-2, 2, (1000, 2))
     monkeypatch.delattr(contamination, "reweighted")
-    RBFNetwork().fit(X, waves(X) + 0.2 * rng.normal(size=1000))
+    RBFNetwork().fit(X, sine(X) + 0.2 * rng.normal(size=1000))
 
 
 def test_weights_are_those_of_a_cauchy_location() -> None:

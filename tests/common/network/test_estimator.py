@@ -18,23 +18,17 @@ from common.network import fitting as fitting_module
 from common.network.estimator import merge_repeated
 from common.network.partition import Partition
 from common.surface import FloatArray
-
-
-def waves(X: FloatArray) -> FloatArray:
-    return np.asarray(np.sin(2 * X[:, 0]) + np.sin(2 * X[:, 1]))
+from tests.common.network.surfaces import rough, sine
 
 
 def cloud(n: int, seed: int = 3) -> tuple[FloatArray, FloatArray]:
     X = np.random.default_rng(seed).uniform(-2, 2, (n, 2))
-    return X, waves(X)
+    return X, sine(X)
 
 
 def crags(X: FloatArray) -> FloatArray:
     """Waves of every length down to less than the points' spacing, each as steep as the others."""
-    rng = np.random.default_rng(7)
-    waves = rng.normal(size=(40, 2))
-    waves *= (2 * np.pi / np.geomspace(4, 0.1, 40) / np.linalg.norm(waves, axis=1))[:, None]
-    return np.asarray((np.sin(X @ waves.T + rng.uniform(0, 6, 40)) / np.linalg.norm(waves, axis=1)).sum(axis=1))
+    return rough(X, finest=0.1)
 
 
 def dome(X: FloatArray) -> FloatArray:
@@ -49,7 +43,7 @@ QUERIES = np.random.default_rng(99).uniform(-1.8, 1.8, (300, 2))
 
 
 def error(network: RBFNetwork, Q: FloatArray = QUERIES) -> float:
-    return float(np.sqrt(np.mean((network.predict(Q) - waves(Q)) ** 2)))
+    return float(np.sqrt(np.mean((network.predict(Q) - sine(Q)) ** 2)))
 
 
 @pytest.mark.parametrize("mapping", ["height", "autoassociative"])
@@ -159,7 +153,7 @@ def test_wrong_points_are_set_aside_and_named(n: int) -> None:
     assert error(network) < 1.5 * error(RBFNetwork().fit(X, y))
 
 
-@pytest.mark.parametrize("surface", [waves, dome])
+@pytest.mark.parametrize("surface", [sine, dome])
 @pytest.mark.parametrize(("n", "seed"), [(100, 0), (100, 1), (400, 0), (400, 1)])
 def test_wild_values_leave_no_trace_on_a_surface_without_noise(
     surface: Callable[[FloatArray], FloatArray], n: int, seed: int
@@ -249,7 +243,7 @@ def test_repeated_values_may_be_of_any_size(exponent: int) -> None:
     np.testing.assert_array_equal(huge.predict(QUERIES, return_std=True), expected)
 
 
-@pytest.mark.parametrize("surface", [waves, dome, crags, rounded])
+@pytest.mark.parametrize("surface", [sine, dome, crags, rounded])
 @pytest.mark.parametrize("noise", [0.0, 0.05])
 def test_the_band_covers_the_truth(surface: Callable[[FloatArray], FloatArray], noise: float) -> None:
     shares = []
@@ -339,7 +333,7 @@ def test_every_setting_changes_the_surface(change: dict[str, Any]) -> None:
 def test_the_paper_spread_is_twice_the_distance_between_centres() -> None:
     side = np.arange(8.0)
     X = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-    assert RBFNetwork(spread="paper").fit(X, waves(X)).spread_ == pytest.approx(2.0)
+    assert RBFNetwork(spread="paper").fit(X, sine(X)).spread_ == pytest.approx(2.0)
 
 
 def test_outputs_and_dimensions_of_any_number() -> None:

@@ -10,22 +10,15 @@ from common.errors import ParameterError
 from common.network import greedy
 from common.network.greedy import Gram, select
 from common.surface import FloatArray
+from tests.common.network.surfaces import bowl, scattered, sine
 
 
 def gaussian(spread: float) -> Gram:
     return lambda A, B: np.asarray(np.exp(cdist(A, B, "sqeuclidean") * (-0.5 / spread**2)))
 
 
-def sine(X: FloatArray) -> FloatArray:
-    return np.asarray(np.sin(2 * X[:, 0]) + np.sin(2 * X[:, 1]))
-
-
-def bowl(X: FloatArray) -> FloatArray:
-    return np.asarray(-5 / (1 + np.square(X).sum(axis=1)))
-
-
 def sample(f: Callable[[FloatArray], FloatArray], n: int, seed: int = 0) -> tuple[FloatArray, FloatArray]:
-    X = np.random.default_rng(seed).uniform(-2, 2, (n, 2))
+    X = scattered(n, seed)
     y = f(X)
     return X, (y - y.mean())[:, None]
 

@@ -13,12 +13,9 @@ from common.errors import ParameterError, PointsError
 from common.network import RBFNetwork
 from common.network.fitting import DENSE
 from common.surface import FloatArray
+from tests.common.network.surfaces import sine
 
 N = DENSE + 500
-
-
-def sine(X: FloatArray) -> FloatArray:
-    return np.asarray(np.sin(2 * X[:, 0]) + np.sin(2 * X[:, 1]))
 
 
 @pytest.fixture(scope="module")

@@ -14,26 +14,7 @@ from common.network.kernel import Kernel
 from common.network.local import Levels
 from common.network.partition import Partition
 from common.surface import FloatArray
-
-
-def sine(X: FloatArray) -> FloatArray:
-    return np.asarray(np.sin(2 * X[:, 0]) + np.sin(2 * X[:, 1]))
-
-
-def bowl(X: FloatArray) -> FloatArray:
-    return np.asarray(-5 / (1 + np.square(X).sum(axis=1)))
-
-
-def rough(X: FloatArray) -> FloatArray:
-    """Waves of every length from 4 down to 0.25, each as steep as the others."""
-    rng = np.random.default_rng(7)
-    waves = rng.normal(size=(40, 2))
-    waves *= (2 * np.pi / np.geomspace(4, 0.25, 40) / np.linalg.norm(waves, axis=1))[:, None]
-    return np.asarray((np.sin(X @ waves.T + rng.uniform(0, 6, 40)) / np.linalg.norm(waves, axis=1)).sum(axis=1))
-
-
-def scattered(n: int, seed: int = 0) -> FloatArray:
-    return np.random.default_rng(seed).uniform(-2, 2, (n, 2))
+from tests.common.network.surfaces import bowl, rough, scattered, sine
 
 
 def rmse(partition: Partition, f: Callable[[FloatArray], FloatArray], X: FloatArray) -> float:
