@@ -298,10 +298,10 @@ async def get_network(
     response_class=EventSourceResponse,
     responses=_problems(404, 422),
 )
-async def follow_surface(here: Here, settled: Annotated[Row, Depends(_known)]) -> AsyncIterator[ServerSentEvent]:
+async def follow_surface(here: Here, row: Annotated[Row, Depends(_known)]) -> AsyncIterator[ServerSentEvent]:
     """Server-sent events until the surface is ready, failed or removed: `surface` with its description whenever its
     state changes, `progress` with stage and fraction, `deleted`."""
-    async for event in _events(here, settled.id):
+    async for event in _events(here, row.id):
         yield event
 
 

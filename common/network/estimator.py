@@ -317,7 +317,7 @@ class RBFNetwork(Conventions):
     @classmethod
     def from_state(cls, state: Mapping[str, np.ndarray[Any, Any]]) -> Self:
         """The network that `to_state` wrote; settings other than the mapping are the defaults."""
-        made = cls(mapping=str(state["mapping"]))  # type: ignore[arg-type]
+        made = cls().set_params(mapping=str(state["mapping"]))
         made.n_features_in_, made._single_output = int(state["features"]), bool(state["single_output"])
         made._scales = _Scales(
             np.array(state["origin"]), float(state["unit"]), np.array(state["level"]), np.array(state["height"])
