@@ -8,7 +8,6 @@ are implied. Protection is paid for out of the same bytes.
 from __future__ import annotations
 
 import csv
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -28,8 +27,6 @@ from threadpoolctl import threadpool_limits
 from common.channel import Channel
 from common.errors import ParameterError, TrainingError
 from common.metrics import nrmse
-from common.network import NetworkWarning
-from common.network.model import SurfaceModel
 from common.surface import FeatureSet, FloatArray, HeightGrid
 from common.wire import WireOptions, encode
 from simulator.campaign import FeatureSettings
@@ -39,6 +36,7 @@ from simulator.codecs.protection import PROTECTIONS
 from simulator.codecs.survival import expose
 from simulator.fields import field
 from simulator.folder import make_folder
+from simulator.methods import NETWORK, parse_method
 from simulator.page import STYLE, TableCell, illustration, line_style, page, png, svg, table
 from simulator.progress import progress_bar
 from simulator.runner import Progress, Row, silent
@@ -258,10 +256,9 @@ def _arrived(features: FeatureSet, options: WireOptions, channel: Channel) -> Fl
 
 def network_error(points: FloatArray, grid: HeightGrid) -> float:
     """NRMSE of the network trained on points (n, 3); held to one thread, as the workers share the machine's cores."""
-    with threadpool_limits(1), warnings.catch_warnings():
-        warnings.simplefilter("ignore", NetworkWarning)  # fitted, but not as asked: the error says how well
-        model = SurfaceModel.train(FeatureSet(points, grid.region))
-        return nrmse(grid.z, model.grid(grid.x, grid.y).z)
+    with threadpool_limits(1):
+        z = parse_method(NETWORK).heights(FeatureSet(points, grid.region), grid, np.random.default_rng(0))
+    return nrmse(grid.z, z)
 
 
 def _rows(rival: Rival, contest: Contest, axis: str, level: float, seeds: int, run: Run) -> list[Row]:
