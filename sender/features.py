@@ -54,6 +54,8 @@ def merge_repeated(points: npt.ArrayLike, repeated: Repeated = "error") -> Float
     ------
     PointsError
         If a position carries several heights and `repeated` is "error".
+    ParameterError
+        If a position carries several heights and `repeated` is none of these words.
     """
     points = np.unique(as_points(points), axis=0)  # sorted by x, y, z
     first = np.ones(len(points), dtype=bool)
@@ -101,7 +103,10 @@ def check_surface(points: npt.ArrayLike) -> FloatArray:
 
 
 def piece_of(points: FloatArray, region: Region, gap: float) -> IntArray:
-    """Index of the piece, row by row from (x_min, y_min), that each of the (n, 3) points lies in, shape (n,)."""
+    """Index of the piece, row by row from (x_min, y_min), that each of the (n, 3) points lies in, shape (n,).
+
+    Raises ParameterError where the gap does not fit the region (see `Region.pieces`).
+    """
     rows, columns = region.pieces(gap)
     column = np.clip(np.floor((points[:, 0] - region.x_min) / gap), 0, columns - 1)
     row = np.clip(np.floor((points[:, 1] - region.y_min) / gap), 0, rows - 1)
@@ -226,7 +231,8 @@ def lattice(heights: Heights, gap: float, region: Region, units: Units = Units()
     """One point in the middle of each of the pieces that a region is evenly cut into, about `gap` wide; row by row.
 
     It is what `extract_features` makes, for heights that are known already: whoever tries several gaps triangulates
-    once. It does not know the points, and so does not say whether the gap suits them.
+    once. It does not know the points, and so does not say whether the gap suits them. Raises ParameterError where that
+    does not fit the region (see `Region.pieces`).
     """
     x, y = np.meshgrid(*region.axes(region.pieces(gap), centred=True))
     return FeatureSet(np.column_stack([x.ravel(), y.ravel(), heights(x, y).ravel()]), region, gap, "lattice", units)

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 from time import monotonic
 from typing import Any, Literal, Self, TypeAlias, TypeVar
 
@@ -207,8 +208,8 @@ def _limit(memory: int) -> None:
 
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     held = 0
-    with contextlib.suppress(FileNotFoundError), open("/proc/self/statm", encoding="ascii") as statm:  # noqa: PTH123
-        held = int(statm.read().split()[0]) * resource.getpagesize()
+    with contextlib.suppress(FileNotFoundError):
+        held = int(Path("/proc/self/statm").read_text("ascii").split()[0]) * resource.getpagesize()
     hard = resource.getrlimit(resource.RLIMIT_AS)[1]
     limit = held + memory if hard == resource.RLIM_INFINITY else min(held + memory, hard)
     if held:  # without what is held, the limit might be below it
