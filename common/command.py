@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, TypeAlias, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import typer
 from pydantic import BaseModel, ValidationError
@@ -51,10 +51,22 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-Version: TypeAlias = Annotated[
-    bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and leave.")
-]
-"""The option of a command line that has nothing else to do."""
+def command_line(name: str, purpose: str) -> typer.Typer:
+    """A command line that has no command yet, and says what it is for and which version it is."""
+    app = typer.Typer(
+        name=name, help=purpose, no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False
+    )
+
+    # Without it a command that is the only one would lose its name.
+    @app.callback()
+    def before_any_command(
+        version: Annotated[
+            bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and leave.")
+        ] = False,
+    ) -> None:
+        pass
+
+    return app
 
 
 def run(command: Callable[[], object]) -> None:

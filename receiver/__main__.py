@@ -14,28 +14,17 @@ from fastapi import FastAPI
 from rich.console import Console
 from rich.markup import escape
 
-from common.command import Version, about, run, settings_from
+from common.command import about, command_line, run, settings_from
 from common.listening import listen, url_of
 from receiver.app import create_app
 from receiver.settings import Settings
 from receiver.store import Store
 from receiver.surfaces import Surfaces
 
-app = typer.Typer(
-    name="receiver",
-    help="Take a surface's packets in and grow the surface back.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    add_completion=False,
-)
+app = command_line("receiver", "Take a surface's packets in and grow the surface back.")
 
 GRACE_SECONDS = 5
 """How long a stop waits for answers that are under way."""
-
-
-@app.callback()
-def _commands(version: Version = False) -> None:
-    """Keeps `serve` a word of its own, although it is the only command."""
 
 
 class Server(uvicorn.Server):

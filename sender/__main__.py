@@ -17,7 +17,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from common.channel import Channel
-from common.command import Version, about, run, settings_from
+from common.command import about, command_line, run, settings_from
 from common.errors import ParameterError
 from common.listening import listen, url_of
 from common.problems import problem_of_fields
@@ -33,13 +33,7 @@ from sender.surfaces import SURFACES, names_file
 from sender.transmission import Order, Prepared, deliver, prepare
 from sender.transport import ChannelTransport
 
-app = typer.Typer(
-    name="sender",
-    help="Keep the feature points of a surface and send them to a receiver.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    add_completion=False,
-)
+app = command_line("sender", "Keep the feature points of a surface and send them to a receiver.")
 console = Console()
 DEFAULTS = Settings.model_construct()
 
@@ -48,11 +42,6 @@ WORTH_TELLING = 2.0
 
 STEPS = 200
 """Parts that the wait for a channel is drawn in."""
-
-
-@app.callback()
-def _commands(version: Version = False) -> None:
-    """What goes before any command."""
 
 
 @app.command()

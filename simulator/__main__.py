@@ -17,7 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from common.channel import Channel
-from common.command import Version, run
+from common.command import command_line, run
 from common.listening import listen, url_of
 from sender.surfaces import find_surface
 from simulator.demo import DEMO_SURFACES, Exhibit, run_demo, steps
@@ -30,20 +30,9 @@ from simulator.services import Services, running
 from simulator.sweep import HELP as SWEEP_HELP
 from simulator.sweep import sweep_command
 
-app = typer.Typer(
-    name="simulate",
-    help="Experiments over the link: sender, noisy channel, receiver.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    add_completion=False,
-)
+app = command_line("simulate", "Experiments over the link: sender, noisy channel, receiver.")
 console = Console()
 CHANNELS = ("clean", "noisy")
-
-
-@app.callback()
-def _commands(version: Version = False) -> None:
-    """What goes before any command."""
 
 
 @app.command()
