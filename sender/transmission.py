@@ -57,7 +57,21 @@ OF_FILES = ("columns", "no_data", "xy_unit", "z_unit")
 
 @dataclass(frozen=True)
 class Prepared:
-    """An order carried out up to the packets."""
+    """An order carried out up to the packets.
+
+    Attributes
+    ----------
+    id : str
+        Of the surface at the receiver.
+    cloud : int
+        Points of the cloud that the features were chosen from.
+    features : FeatureSet
+    packets : list of bytes
+    cost : Cost
+        Of one sending.
+    notes : tuple of str
+        What is worth a word of how a file was read.
+    """
 
     id: str
     cloud: int

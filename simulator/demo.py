@@ -26,7 +26,25 @@ BYTES_OF_A_POINT = 24
 
 @dataclass(frozen=True)
 class Arrived:
-    """One transmission as the receiver holds it."""
+    """One transmission as the receiver holds it, and what other methods make of its points.
+
+    Attributes
+    ----------
+    id, channel : str
+        Of the surface at the receiver; in the short form.
+    features : ndarray, shape (n, 3)
+        The feature points that arrived.
+    centers : ndarray, shape (m, 2)
+        Of the network.
+    sent_bytes : int
+        Put on the air.
+    grid : HeightGrid
+        What the network made of the points.
+    linear, cubic : ndarray, shape (rows, columns)
+        What interpolation made of them, at the nodes of `grid`.
+    seconds : float
+        From the order to the grid.
+    """
 
     id: str
     channel: str

@@ -41,7 +41,19 @@ FILE_NOISE = 0.05
 
 @dataclass(frozen=True)
 class Arrived:
-    """What a transmission cost and what came of it; `features` is None where nothing usable arrived."""
+    """What a transmission cost and what came of it.
+
+    Attributes
+    ----------
+    features : FeatureSet or None
+        None where nothing usable arrived.
+    packets, sent_bytes : int
+        Put on the air, retransmissions included.
+    received, damaged : int
+        Different packets that arrived intact; packets that were found damaged, or contradicted others.
+    grid : HeightGrid or None
+        What the receiver's default network made of it, where a receiver was there.
+    """
 
     features: FeatureSet | None
     packets: int
@@ -49,7 +61,6 @@ class Arrived:
     received: int
     damaged: int
     grid: HeightGrid | None = None
-    """What the receiver's default network made of it, where a receiver was there."""
 
 
 class Transport(Protocol):
@@ -106,14 +117,30 @@ def direct(
 
 @dataclass(frozen=True)
 class Source:
-    """Where clouds come from: a named surface, a field or a file."""
+    """Where clouds come from: a named surface, a field or a file.
+
+    Attributes
+    ----------
+    region : Region
+    noise : float
+        Amplitude of the noise it is usually tried with, in the unit of z.
+    points : int
+        Of a cloud, unless features are chosen from another number.
+    gap : float or None
+        Segment gap, in the units of x and y; None where nothing says how large pieces should be.
+    nodes : int or None
+        Points there are in all; None where there is no end to them.
+    truth : callable
+        ``truth((rows, columns))``: the true heights on a grid.
+    sample : callable
+        ``sample(rng, n)``: a cloud of n points, shape (n, 3).
+    """
 
     region: Region
     noise: float
     points: int
     gap: float | None
     nodes: int | None
-    """Points there are in all; None where there is no end to them."""
     truth: Callable[[tuple[int, int]], HeightGrid]
     sample: Callable[[np.random.Generator, int], FloatArray]
 

@@ -64,7 +64,17 @@ MISSED = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What the network is asked to be; None is chosen from the data."""
+    """What the network is asked to be; None is chosen from the data.
+
+    Attributes
+    ----------
+    spread : float, "paper" or None
+    smoothing : float or None
+    tolerance : float
+        Greatest error at the samples at which no more centres are added; 0 makes every sample a centre.
+    max_centers : int or None
+        None is as many as there are samples.
+    """
 
     spread: float | Literal["paper"] | None = None
     smoothing: float | None = None

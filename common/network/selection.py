@@ -347,7 +347,18 @@ class Solution:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scored:
-    """Candidates and their scores; a share is exp(-score) less what is negligible, scaled to add up to one."""
+    """Candidates and their scores; a share is exp(-score) less what is negligible, scaled to add up to one.
+
+    Attributes
+    ----------
+    candidates : list of Candidate
+    scores : ndarray, shape (candidates,)
+        Less is better; infinite for one that is not believed.
+    variances : ndarray, shape (candidates,)
+        Of the surface, as each explains it.
+    restricted : ndarray, shape (candidates,)
+        Negative logarithms of the restricted likelihood.
+    """
 
     candidates: list[Candidate]
     scores: FloatArray
