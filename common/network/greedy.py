@@ -1,8 +1,8 @@
 """Greedy choice of centres by a Newton basis.
 
-The paper's rule, from no centre on: evaluate the error at all points, add a centre where it is largest, stop when it
-is below the tolerance. The Newton basis (Mueller and Schaback 2009, "A Newton basis for kernel spaces") makes a new
-centre cost one kernel column and one product with the functions so far, with no refit: with
+The paper's rule: start from a subset of the points, evaluate the error at all of them, add a centre where it is
+largest, stop when it is below the tolerance. The Newton basis (Mueller and Schaback 2009, "A Newton basis for kernel
+spaces") makes a new centre cost one kernel column and one product with the functions so far, with no refit: with
 P^2(x) = K(x, x) - sum_j v_j(x)^2 the squared power function, the next function is
 
     v_k(x) = (K(x, x_k) - sum_{j<k} v_j(x_k) v_j(x)) / P(x_k)
@@ -71,8 +71,6 @@ class Selection:
     stop_reason: StopReason
 
 
-# The products of a round are too small for the threads of BLAS, which cost more time than they save.
-@single_threaded_blas()
 def select(
     X: FloatArray,
     y: FloatArray,
@@ -82,6 +80,7 @@ def select(
     weights: FloatArray | None = None,
     tolerance: float = 0.0,
     max_centers: int | None = None,
+    initial: IntArray | None = None,
     block: int | None = None,
     memory: int = MEMORY,
     tick: Callable[[float], None] | None = None,
@@ -104,6 +103,8 @@ def select(
         Greatest absolute error at the points, in the units of y.
     max_centers : int, optional
         Most centres; n where it is left out.
+    initial : ndarray of int, optional
+        Rows of X taken before the error is asked.
     block : int, optional
         Centres a round; 1 up to `SHORTLIST_POINTS` points and `BLOCK` above where it is left out.
     memory : int
@@ -114,7 +115,7 @@ def select(
     Raises
     ------
     ParameterError
-        If `block` or `max_centers` is below 1, or `max_centers` takes more than the memory.
+        If `block`, `initial` or `max_centers` cannot be met, by the number of points or by the memory.
     """
     n = len(X)
     if block is not None and block < 1:
@@ -128,9 +129,41 @@ def select(
             f"{limit} centres of {n} points need {16 * n * limit / 2**20:.0f} MiB; the limit is {memory / 2**20:.0f} "
             f"MiB, accepted are at most {affordable} centres"
         )
+    first = np.zeros(0, dtype=np.int64) if initial is None else np.asarray(initial, dtype=np.int64).ravel()
+    if (
+        len(np.unique(first)) != len(first)
+        or len(first) > limit
+        or (len(first) and not 0 <= first.min() <= first.max() < n)
+    ):
+        raise ParameterError(f"initial must be at most {limit} different rows of X, of {n}")
+
+    # The products of a round are too small for the threads of BLAS, which cost more time than they save.
+    with single_threaded_blas():
+        return _select(X, y, kernel, smoothing, weights, tolerance, limit, affordable, first, block, tick)
+
+
+def _select(
+    X: FloatArray,
+    y: FloatArray,
+    kernel: Gram,
+    smoothing: float,
+    weights: FloatArray | None,
+    tolerance: float,
+    limit: int,
+    affordable: int,
+    first: IntArray,
+    block: int | None,
+    tick: Callable[[float], None] | None,
+) -> Selection:
+    n = len(X)
     step = block or (1 if n <= SHORTLIST_POINTS else BLOCK)
-    basis = _Basis(X, y, kernel, smoothing, weights, min(limit, affordable))
+    room = min(limit, affordable)
+    basis = _Basis(X, y, kernel, smoothing, weights, room)
     history = [basis.error()]
+    if len(first):
+        for start in range(0, len(first), BLOCK):
+            basis.extend(first[start : start + BLOCK])
+        history.append(basis.error())
     floor = np.finfo(np.float64).eps * max(history[0], 1e-300)
     while True:
         reason: StopReason

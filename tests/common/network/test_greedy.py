@@ -83,6 +83,14 @@ def test_stops_at_the_rounding_floor_and_picks_no_centre_twice(block: int) -> No
     assert chosen.history[-1] < 0.2 * chosen.history[0]
 
 
+def test_starts_from_the_initial_rows() -> None:
+    X, y = sample(sine, 100)
+    first = np.array([5, 17, 3])
+    chosen = select(X, y, gaussian(0.8), initial=first, max_centers=10)
+    np.testing.assert_array_equal(chosen.indices[:3], first)
+    assert len(chosen.history) == 1 + 1 + 7
+
+
 def test_blocks_take_fewer_rounds() -> None:
     X, y = sample(sine, 500)
     single = select(X, y, gaussian(0.8), max_centers=40, block=1)
@@ -104,6 +112,13 @@ def test_memory_is_checked_before_it_is_taken() -> None:
     with pytest.raises(ParameterError, match="MiB"):
         select(X, y, gaussian(0.1), max_centers=900, memory=1 << 20)
     assert select(X, y, gaussian(0.1), memory=1 << 20).stop_reason == "memory"
+
+
+@pytest.mark.parametrize("initial", [[1, 1], [-1], [100]])
+def test_impossible_initial_rows_are_refused(initial: list[int]) -> None:
+    X, y = sample(sine, 100)
+    with pytest.raises(ParameterError, match="initial"):
+        select(X, y, gaussian(0.5), initial=np.array(initial))
 
 
 def test_progress_is_told_after_every_round() -> None:
