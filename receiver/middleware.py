@@ -71,6 +71,7 @@ class ChannelMiddleware:
         try:
             headers = Headers(scope=scope)
             attempt = attempt_of(headers.get(ATTEMPT_HEADER))
+            passed = len(headers.getlist(FAULTS_HEADER))
             body = await _read(limited(scope, receive, self.max_body_bytes))
         except SurfacelinkError as error:
             await respond(problem_of(error))(scope, receive, send)
@@ -79,7 +80,9 @@ class ChannelMiddleware:
             return
         # A large transmission takes seconds; the event loop has other connections to serve meanwhile.
         delivery = await to_thread.run_sync(
-            lambda: carry(channel, body, transmission=transmission, attempt=attempt, references=self._references),
+            lambda: carry(
+                channel, body, transmission=transmission, attempt=attempt, passed=passed, references=self._references
+            ),
             abandon_on_cancel=True,
         )
         if delivery.seconds:

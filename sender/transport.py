@@ -53,9 +53,12 @@ class ChannelTransport(httpx.AsyncBaseTransport):
         if transmission is None or not channel:
             return await self.transport.handle_async_request(request)
         attempt = attempt_of(request.headers.get(ATTEMPT_HEADER))
+        passed = len(request.headers.get_list(FAULTS_HEADER))
         body = await request.aread()
         delivery = await to_thread.run_sync(
-            lambda: carry(channel, body, transmission=transmission, attempt=attempt, references=self._references),
+            lambda: carry(
+                channel, body, transmission=transmission, attempt=attempt, passed=passed, references=self._references
+            ),
             abandon_on_cancel=True,
         )
         if delivery.seconds:

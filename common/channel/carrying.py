@@ -92,14 +92,23 @@ class References:
 
 
 def carry(
-    channel: Channel, body: bytes, *, transmission: str, attempt: int = 0, references: References | None = None
+    channel: Channel,
+    body: bytes,
+    *,
+    transmission: str,
+    attempt: int = 0,
+    passed: int = 0,
+    references: References | None = None,
 ) -> Delivery:
     """Send the datagrams of a body through the channel; relative strengths refer to what `references` knows, if given.
 
-    A later attempt then meets noise as strong as the first did, though it carries fewer points.
+    A later attempt then meets noise as strong as the first did, though it carries fewer points. `passed` channels were
+    on the way before this one: as many as the request has headers `FAULTS_HEADER`.
     """
     known = references.find(transmission, attempt) if references else None
-    delivery = channel.transmit(datagrams_of(body), transmission=transmission, attempt=attempt, reference=known)
+    delivery = channel.transmit(
+        datagrams_of(body), transmission=transmission, attempt=attempt, passed=passed, reference=known
+    )
     if references:
         references.keep(transmission, delivery)
     return delivery

@@ -143,6 +143,7 @@ class Channel:
         *,
         transmission: str,
         attempt: int = 0,
+        passed: int = 0,
         reference: Reference | None = None,
     ) -> Delivery:
         """Send datagrams through the channel; never raises, whatever bytes they are.
@@ -155,6 +156,8 @@ class Channel:
             Id of the transmission.
         attempt : int
             0 for the first sending, another number for each later one: packets sent again meet fresh luck.
+        passed : int
+            Channels that were on the way before this one: one with the same seed draws apart from them.
         reference : Reference, optional
             What relative strengths refer to. Without it, the points in `packets`; give it where a transmission is
             sent in several parts, or sent again in part: the `Delivery` of the first call has it.
@@ -169,7 +172,7 @@ class Channel:
             return reference
 
         log: list[Fault] = []
-        for position, impairment in enumerate(self.impairments):
+        for position, impairment in enumerate(self.impairments, start=passed * MAX_IMPAIRMENTS):
             draws = Draws.of(self.seed, transmission, attempt, position)
             flight = impairment.apply(flight, Passage(impairment.kind, draws, scale, log))
         flight.sort(key=lambda datagram: datagram.at)

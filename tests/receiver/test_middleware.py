@@ -66,6 +66,13 @@ async def test_the_application_gets_what_the_channel_delivers(packets: list[byte
 
 
 @pytest.mark.anyio
+async def test_it_draws_apart_from_channels_before_it(packets: list[bytes]) -> None:
+    answer = await post(create(SPEC), b"".join(packets), surfacelink_faults="none")
+    expected = Channel.parse(SPEC, seed=4).transmit(packets, transmission="hills", passed=1)
+    assert answer.content == expected.body
+
+
+@pytest.mark.anyio
 async def test_a_chunked_body_is_the_same_to_the_channel(packets: list[bytes]) -> None:
     async def chunks() -> AsyncIterator[bytes]:
         body = b"".join(packets)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import httpx
 import pytest
 
@@ -62,6 +64,20 @@ async def test_the_faults_of_an_inner_channel_are_added(packets: list[bytes]) ->
     async with recorder.client("erasure:p=0") as client:
         answer = await client.post(URL, content=b"".join(packets))
     assert answer.headers["surfacelink-faults"] == "gaussian=6, erasure=2"
+
+
+@pytest.mark.anyio
+async def test_channels_one_after_the_other_draw_apart(packets: list[bytes]) -> None:
+    recorder, channel = Recorder(), Channel.parse("gaussian:std=0.1", seed=3)
+    inner: httpx.AsyncBaseTransport = httpx.MockTransport(recorder.answer)
+    for _ in range(3):
+        inner = ChannelTransport(inner, channel, sleep=recorder.sleep)
+    async with httpx.AsyncClient(transport=inner) as client:
+        await client.post(URL, content=b"".join(packets))
+    expected: Sequence[bytes] = packets
+    for passed in range(3):
+        expected = channel.transmit(expected, transmission="hills", passed=passed).packets
+    assert recorder.requests[0].content == b"".join(expected)
 
 
 @pytest.mark.anyio

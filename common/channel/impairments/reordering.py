@@ -27,7 +27,7 @@ class Reordering(Impairment):
     def apply(self, flight: list[Datagram], passage: Passage) -> list[Datagram]:
         """The same datagrams in another order."""
         places: list[tuple[float, bool, Datagram]] = []
-        for place, datagram in enumerate(flight):
+        for place, datagram in enumerate(sorted(flight, key=lambda each: each.at)):
             back = 0 if passage.spares(datagram, self.probability) else self._places(datagram, passage)
             if back:
                 passage.note(datagram, back, "places")

@@ -49,6 +49,15 @@ def test_channels_in_a_row_each_harm_packets(few_packets: list[bytes]) -> None:
     assert 0.3 < len(twice.body) / len(once) < 0.7
 
 
+def test_channels_of_one_seed_in_a_row_draw_apart(few_packets: list[bytes]) -> None:
+    channel, body = Channel.parse("erasure:p=0.5"), b"".join(few_packets)
+    once = carry(channel, body, transmission="hills")
+    twice = carry(channel, once.body, transmission="hills", passed=1)
+    assert 0.3 < len(twice.packets) / len(once.packets) < 0.7
+    thrice = carry(channel, twice.body, transmission="hills", passed=2)
+    assert len(thrice.packets) < len(twice.packets)
+
+
 def test_what_is_sent_again_refers_to_what_was_sent_first(
     few_packets: list[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -246,6 +246,19 @@ def test_reordering_moves_packets_back_by_at_most_its_depth() -> None:
     assert others == sorted(others)
 
 
+def test_reordering_moves_packets_within_the_order_that_jitter_left() -> None:
+    sent = [bytes([i // 256, i % 256]) for i in range(1000)]
+    before = send("jitter:seconds=1", sent).packets
+    came = send("jitter:seconds=1;reordering:p=0.2,depth=5", sent)
+    place = {data: index for index, data in enumerate(before)}
+    moved = {fault.packet for fault in came.faults if fault.kind == "reordering"}
+    others = [data for data in came.packets if int.from_bytes(data, "big") not in moved]
+    assert others == sorted(others, key=place.__getitem__)
+    shifts = np.array([index - place[data] for index, data in enumerate(came.packets)])
+    assert 0 < shifts.max() <= 5
+    assert list(came.times) == sorted(came.times)
+
+
 def test_truncation_keeps_a_head_that_is_long_enough() -> None:
     sent = noise(1000, 100)
     came = send("truncation:p=1,keep=0.4", sent)
