@@ -338,9 +338,15 @@ class Store:
             )
 
     def model(self, n: int, digest: str) -> State | None:
-        """The state of the model `digest` of surface number `n`, None where it is another one or none by now."""
+        """The state of the model `digest` of surface number `n`, None where it is another one or none by now; raises
+        StoreError where it was harmed on disk."""
         rows = self._fetch("SELECT state FROM models WHERE surface = ? AND digest = ?", (n, digest))
-        return unpack_state(rows[0][0]) if rows else None
+        if not rows:
+            return None
+        (data,) = rows[0]
+        if sha256(data).hexdigest() != digest:
+            raise StoreError("a stored model was harmed")
+        return unpack_state(data)
 
     def forget_model(self, n: int, digest: str) -> None:
         """Drop the model `digest` of surface number `n`, so that it counts as untrained; no other one."""

@@ -88,6 +88,13 @@ class WrittenByNewer(StoreError):  # noqa: N818 - what is kept is sound
         )
 
 
+class Harmed(StoreError):  # noqa: N818 - of what is kept
+    """What is kept of the surface is not what was acknowledged."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"what is kept of {name} cannot be read whole; send its packets again")
+
+
 class Surfaces:
     """The surfaces of a receiver.
 
@@ -214,7 +221,7 @@ class Surfaces:
             raise ConflictError("the packets belong to another transmission; post them under the id they were made for")
         delivery = Delivery(damaged=decoder.damaged, **fates)
         features = reassembly.features() if reassembly.points else None
-        digest = None if features is None else sha256(features.points.tobytes()).hexdigest()
+        digest = _digest(features)
         changed = digest != (row.features if row else None)
         # A copy of a packet that is here already can be the better one and replace it.
         kept = [packet for packet in packets if packet.tag == tag] if changed else fresh
@@ -273,12 +280,12 @@ class Surfaces:
                 row = await run_in_thread(self.store.find, name)
                 if row is not None and schemas.state_of(row) == "training" and self.trainings.get(name) is None:
                     _, reassembly = await run_in_thread(self._reassembly, name)
-                    self._start(row, await run_in_thread(reassembly.features))
+                    self._start(row, await run_in_thread(_acknowledged, row, reassembly))
             except SurfacelinkError as error:
                 logger.exception("training of %s could not be resumed", name)
                 if row is not None:
                     failure = StoreError(f"what was kept of {name} cannot be read: {error}; send its packets again")
-                    if isinstance(error, WrittenByNewer):
+                    if isinstance(error, (Harmed, WrittenByNewer)):
                         failure = error
                     self._unkept[row.n, row.revision] = problem_of(failure).model_dump(exclude_none=True)
                     self.changes.publish(name)
@@ -386,13 +393,14 @@ class Surfaces:
         return None if state is None else SurfaceModel.from_state(state)
 
     async def features(self, name: str) -> tuple[Row, FeatureSet]:
-        """What has arrived of `name`; raises NotFoundError, and NotReadyError while there is no point."""
+        """What has arrived of `name`; raises NotFoundError, NotReadyError while there is no point, and StoreError where
+        it was harmed on disk."""
         async with self._lock(name):
             await run_in_thread(self.store.get, name)
             row, reassembly = await run_in_thread(self._reassembly, name)
             if row is None:
                 raise StoreError("the surface is gone")
-            return row, await run_in_thread(reassembly.features)
+            return row, await run_in_thread(_acknowledged, row, reassembly)
 
     async def delete(self, name: str) -> None:
         """Remove `name` and all that belongs to it; its training is called off. Raises NotFoundError."""
@@ -410,6 +418,18 @@ def _unstored(name: str, error: StoreError) -> StoreError:
         f"{name} was trained, and its network could not be stored: {error}; it will be, within a minute of there being "
         "room"
     )
+
+
+def _digest(features: FeatureSet | None) -> str | None:
+    return None if features is None else sha256(features.points.tobytes()).hexdigest()
+
+
+def _acknowledged(row: Row, reassembly: Reassembly) -> FeatureSet:
+    """The features that are here; raises NotReadyError where none arrived, Harmed where others did."""
+    features = reassembly.features() if reassembly.points or row.features is None else None
+    if features is None or _digest(features) != row.features:
+        raise Harmed(row.id)
+    return features
 
 
 def _framed(body: bytes) -> bool:

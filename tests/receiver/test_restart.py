@@ -133,14 +133,24 @@ async def test_a_failure_is_remembered(running: Running, features: FeatureSet) -
         assert (await client.get("/v1/surfaces/hills")).json() == before
 
 
+@pytest.mark.parametrize(
+    "harm",
+    [
+        "x'00'",
+        # The first member of the archive is said to be compressed in a way that nobody knows.
+        "CAST(substr(state, 1, 8) || x'4d' || substr(state, 10) AS BLOB)",
+        # A name in it.
+        "CAST(replace(state, CAST('spread' AS BLOB), CAST('sprEad' AS BLOB)) AS BLOB)",
+    ],
+)
 async def test_a_model_that_cannot_be_read_is_trained_again(
-    running: Running, features: FeatureSet, tmp_path: Path
+    running: Running, features: FeatureSet, tmp_path: Path, harm: str
 ) -> None:
     async with running() as client:
         await client.transmit("hills", b"".join(packets_of(features, "hills")))
         expected = (await client.get("/v1/surfaces/hills/grid?wait=60&f=npy")).content
     db = sqlite3.connect(tmp_path / "data" / "receiver.sqlite3")
-    db.execute("UPDATE models SET state = x'00'")
+    db.execute(f"UPDATE models SET state = {harm}")
     db.commit()
     db.close()
     async with running() as client:
@@ -288,6 +298,32 @@ async def test_kept_packets_that_are_harmed_fail_until_the_next_start(
     write(kept)
     async with running() as client:
         assert (await client.get("/v1/surfaces/hills?wait=60")).json()["state"] == "ready"
+
+
+async def test_a_kept_packet_that_is_harmed_is_told_and_not_passed_over(
+    running: Running, features: FeatureSet, tmp_path: Path
+) -> None:
+    packets = packets_of(features, "hills")
+    async with running() as client:
+        await client.transmit("hills", b"".join(packets))
+        before = (await client.get("/v1/surfaces/hills/grid?wait=60&f=npy")).content
+        points = (await client.get("/v1/surfaces/hills/features")).content
+    with closing(sqlite3.connect(tmp_path / "data" / "receiver.sqlite3")) as db, db:
+        ((kept,),) = db.execute("SELECT packets FROM arrivals").fetchall()
+        db.execute("UPDATE arrivals SET packets = ?", (kept[:50] + b"?" + kept[51:],))
+        db.execute("DELETE FROM models")
+    async with running() as client:
+        with anyio.fail_after(10):
+            surface = (await client.get("/v1/surfaces/hills?wait=60")).json()
+        assert surface["state"] == "failed"
+        assert "cannot be read whole; send its packets again" in surface["error"]["detail"]
+        answer = await client.get("/v1/surfaces/hills/features")
+        assert (answer.status_code, answer.json()["detail"]) == (503, surface["error"]["detail"])
+        assert (await client.transmit("hills", b"".join(packets))).json()["delivery"]["new"] == 1
+        assert (await client.get("/v1/surfaces/hills/grid?wait=60&f=npy")).content == before
+        assert (await client.get("/v1/surfaces/hills/features")).content == points
+    async with running(train=never) as client:
+        assert (await client.get("/v1/surfaces/hills/features")).content == points
 
 
 async def test_packets_that_a_newer_version_kept_are_said_to_be_that(
