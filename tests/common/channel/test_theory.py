@@ -89,6 +89,21 @@ def test_impulses_hit_the_share_asked_for_and_the_log_counts_them(packets: list[
     assert sum(fault.amount for fault in delivery.faults) == np.count_nonzero(hit)
 
 
+def test_impulses_hit_each_axis_by_itself(packets: list[bytes]) -> None:
+    hit = added(packets, send("impulse:p=0.3,std=10,axes=xyz", packets)) != 0
+    for one, other in ((0, 1), (0, 2), (1, 2)):
+        together = float(np.mean(hit[:, one] & hit[:, other]))
+        assert close(together, 0.09, math.sqrt(0.09 * 0.91 / len(hit)))
+
+
+def test_noises_in_a_row_add_up_and_are_independent(packets: list[bytes]) -> None:
+    first = added(packets, send("gaussian:std=0.2", packets))[:, 2]
+    both = added(packets, send("gaussian:std=0.2;uniform:amplitude=0.3;gaussian:std=0.2", packets))[:, 2]
+    power = 2 * 0.04 + 0.03
+    assert close(float(np.mean(both**2)), power, power * math.sqrt(2 / len(both)))
+    assert close(float(np.mean(first * (both - first))), 0.0, 0.2 * math.sqrt(0.07 / len(both)))
+
+
 @pytest.mark.parametrize("kind", ["gaussian", "uniform", "impulse", "bias"])
 def test_snr_counts_the_heights_without_their_mean(packets: list[bytes], points: FloatArray, kind: str) -> None:
     values = added(packets, send(f"{kind}:snr_db=20", packets))[:, 2]
@@ -285,6 +300,20 @@ def test_rate_is_a_queue_that_counts_the_bytes_as_sent(few_packets: list[bytes])
     assert np.allclose(came.times, expected)
 
 
+def test_rate_serves_who_comes_first_and_who_finds_the_line_free_does_not_wait() -> None:
+    sent = [bytes([i]) * (i + 1) for i in range(50)]
+    before = send("jitter:seconds=10", sent)
+    came = send("jitter:seconds=10;rate:bits_per_second=1000", sent)
+    assert came.packets == before.packets
+    free, expected, waited = 0.0, [], 0
+    for data, at in zip(before.packets, before.times, strict=True):
+        waited += free > at
+        free = max(free, at) + 8 * len(data) / 1000
+        expected.append(free)
+    assert 0 < waited < len(sent)
+    assert np.allclose(came.times, expected, rtol=1e-12)
+
+
 def test_point_noise_exposes_no_more_bits_to_errors(few_packets: list[bytes]) -> None:
     before = send("gaussian:std=0.1;bit_errors:ber=1e-3", few_packets)
     after = send("bit_errors:ber=1e-3;gaussian:std=0.1", few_packets)
@@ -302,6 +331,19 @@ def test_probability_of_application_is_apart_from_strength(packets: list[bytes])
     full = send("gaussian:std=0.1", packets)
     for index, (some, every, sent) in enumerate(zip(weak.packets, full.packets, packets, strict=True)):
         assert some == (every if index in touched else sent)
+
+
+def test_who_is_touched_says_nothing_of_how_hard() -> None:
+    gone = lost(10_000, send("erasure:p=0.5,probability=0.5", [b""] * 10_000))
+    assert close(float(gone.mean()), 0.25, math.sqrt(0.25 * 0.75 / len(gone)))
+
+
+def test_losses_in_a_row_are_independent() -> None:
+    delivery = send("erasure:p=0.3;gilbert_elliott:p=0.1,r=0.3;erasure:p=0.3", [b""] * 20_000)
+    arrived = 0.7 * 0.75 * 0.7
+    # The bursts of the chain leave less to average over.
+    error = math.sqrt(arrived * (1 - arrived) / 20_000) * math.sqrt(1.6 / 0.4)
+    assert close(len(delivery.packets) / 20_000, arrived, error)
 
 
 def test_a_damaged_packet_is_left_alone_by_point_noise(few_packets: list[bytes]) -> None:
