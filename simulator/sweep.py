@@ -10,12 +10,12 @@ import re
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import cache, partial
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -46,6 +46,29 @@ PRESENTATION = frozenset(
 """Modules of the simulator that no row depends on."""
 
 
+LIBRARIES = (
+    "numpy",
+    "scipy",
+    "matplotlib",
+    "msgpack",
+    "scikit-learn",
+    "startinpy",
+    "imagecodecs",
+    "pydelatin",
+    "reedsolo",
+)
+"""Distributions that rows depend on."""
+
+
+def library_versions() -> dict[str, str]:
+    """The versions of those of `LIBRARIES` that are installed."""
+    versions = {}
+    for library in LIBRARIES:
+        with suppress(PackageNotFoundError):
+            versions[library] = version(library)
+    return versions
+
+
 @cache
 def code_digest() -> str:
     """Stands for the code that rows depend on: cells that other code has finished are run again."""
@@ -55,8 +78,7 @@ def code_digest() -> str:
         for path in sorted(root.rglob("*.py")):
             if package is not simulator or path.name not in PRESENTATION:
                 digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
-    for library in ("numpy", "scipy"):
-        digest.update(version(library).encode())
+    digest.update(json.dumps(library_versions()).encode())
     return digest.hexdigest()[:8]
 
 
@@ -98,8 +120,7 @@ def environment(workers: int) -> Mapping[str, str | int | None]:
     """What a campaign ran on."""
     return {
         "python": platform.python_version(),
-        "numpy": np.__version__,
-        "scipy": version("scipy"),
+        **library_versions(),
         "code": code_digest(),
         "machine": platform.machine(),
         "system": platform.system(),

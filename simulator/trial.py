@@ -22,6 +22,7 @@ from common.metrics import max_error, nrmse, rmse
 from common.surface import FeatureSet, FloatArray, HeightGrid, Region, as_points
 from common.version import product_version
 from common.wire import PacketDecoder, Reassembly, WireOptions, encode
+from receiver.surfaces import MISSING_NAMED
 from sender.features import linear_heights, merge_repeated
 from sender.readers import read_points
 from sender.surfaces import GriddedSurface, Surface, find_surface
@@ -107,7 +108,8 @@ def direct(
         damaged += decoder.damaged
         if reassembly.complete:
             break
-        outgoing = packets if reassembly.total is None else [packets[k] for k in reassembly.missing]
+        named = reassembly.missing[: max(MISSING_NAMED, reassembly.received)]  # as in a receipt
+        outgoing = packets if reassembly.total is None else [packets[k] for k in named]
     try:
         arrived = reassembly.features()
     except NotReadyError:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 import sys
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -453,6 +454,17 @@ def test_parquet_without_its_package_says_how_to_install_it(tmp_path: Path, monk
 def test_the_code_digest_is_stable() -> None:
     assert code_digest() == code_digest()
     assert len(code_digest()) == 8
+
+
+@pytest.mark.parametrize("library", ["numpy", "scipy", "scikit-learn", "imagecodecs", "startinpy"])
+def test_the_code_digest_stands_for_the_libraries_too(library: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = code_digest.__wrapped__()
+
+    def newer(name: str) -> str:
+        return "99" if name == library else metadata.version(name)
+
+    monkeypatch.setattr("simulator.sweep.version", newer)
+    assert code_digest.__wrapped__() != before
 
 
 def test_a_trial_survives_the_way_into_a_worker() -> None:

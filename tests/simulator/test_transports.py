@@ -4,13 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
+from pathlib import Path
 
+import anyio
+import numpy as np
 import pytest
 
+from common.channel import Channel
+from common.network.model import NetworkSettings
+from common.surface import FeatureSet, Region
+from common.wire import WireOptions, encode
+from sender.client import Sent
 from simulator.campaign import Campaign
+from simulator.link import Link
 from simulator.runner import Cell, Run
 from simulator.transports import Way, opened
-from simulator.trial import Transport, run_trial
+from simulator.trial import Transport, direct, run_trial
 
 PLAN = Campaign.build(
     {
@@ -62,6 +71,23 @@ def test_what_hardly_arrives_or_not_at_all_fails_alike() -> None:
     # One point is enough for the nearest neighbour, not for a network; of what is all damaged, the packets are counted.
     assert any(row["features_received"] == 1 and row["failure"] is None for row in expected)
     assert any(row["features_received"] is None and row["packets_damaged"] for row in expected)
+
+
+def test_as_much_is_sent_again_as_a_receipt_names(tmp_path: Path) -> None:
+    points = np.random.default_rng(0).uniform(-1, 1, (2500, 3))
+    features = FeatureSet(points, Region(-1, 1, -1, 1))
+    options, channel = WireOptions(datagram=64, precision="float64"), Channel.parse("erasure:p=0.8", seed=1)
+    quick = NetworkSettings(spread=0.3, smoothing=0.1)
+    arrived = direct(features, transmission="t", channel=channel, options=options, rounds=3)
+
+    async def send() -> Sent:
+        async with Link.in_process(tmp_path) as link, link.client(channel) as client:
+            packets = encode(features, transmission="t", options=options)
+            return await client.send(packets, transmission="t", rounds=3, network=quick)
+
+    sent = anyio.run(send)
+    assert arrived.packets == sent.packets < 3 * 2500 * 0.8
+    assert (arrived.sent_bytes, arrived.received) == (sent.bytes, sent.receipt.packets.received)
 
 
 def test_only_what_is_reconstructed_here_is_timed() -> None:
