@@ -217,6 +217,14 @@ def test_gilbert_elliott_bursts_are_as_long_as_theory_says(p: float, r: float) -
         assert close(float(measured.mean()), 1 / turn, math.sqrt(1 - turn) / turn / math.sqrt(len(measured)))
 
 
+@pytest.mark.parametrize(("p", "r"), [(0.01, 0.03), (1.0, 1.0), (0.002, 0.001)])
+def test_gilbert_elliott_is_as_bad_at_first_as_it_is_later(p: float, r: float) -> None:
+    channel = Channel.parse(f"gilbert_elliott:p={p},r={r}", seed=1)
+    first = [not channel.transmit([b""], transmission=str(name)).packets for name in range(2000)]
+    bad = p / (p + r)
+    assert close(float(np.mean(first)), bad, math.sqrt(bad * (1 - bad) / len(first)))
+
+
 @pytest.mark.parametrize(("p", "r"), [(0.01, 0.1), (2e-4, 1e-4), (0.9, 0.8), (0.9999, 0.9999), (1.0, 1.0), (0.0, 0.0)])
 def test_the_chain_found_by_going_back_is_the_chain_run_step_by_step(p: float, r: float) -> None:
     model = GilbertElliott(p=p, r=r)
