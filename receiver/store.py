@@ -198,6 +198,8 @@ class Store:
         self._db.execute("PRAGMA locking_mode = EXCLUSIVE")
         self._db.execute("PRAGMA journal_mode = WAL")
         self._db.execute("PRAGMA synchronous = FULL")
+        # On macOS a sync alone leaves what was written in the disk's own cache.
+        self._db.execute("PRAGMA fullfsync = ON")
         self._db.execute("PRAGMA foreign_keys = ON")
         self._db.execute("BEGIN EXCLUSIVE")
         (version,) = self._db.execute("PRAGMA user_version").fetchone()

@@ -237,7 +237,7 @@ class Campaign(Settings):
     seeds : how many samples of each surface, numbered from 0.
     seed : the campaign's own seed, from which every random draw follows.
     grid : rows and columns of the grid the reconstruction is compared on.
-    rounds : transmissions of what the receipt says is missing, the first included.
+    rounds : transmissions of what the receipt says is missing, the first included; 1 where there are codecs.
     name, title, lead, notes : words of the report. A note explains why the network does not win on a surface; its key
         is the surface's name, or "surface axis level" for a single cell.
     """
@@ -277,6 +277,14 @@ class Campaign(Settings):
     def _bounded_size(self) -> Self:
         if self.size > MAX_TRIALS:
             raise ValueError(f"{self.size} trials; at most {MAX_TRIALS} are accepted")
+        return self
+
+    @model_validator(mode="after")
+    def _sent_alike(self) -> Self:
+        if self.codecs and self.rounds > 1:
+            raise ValueError(
+                "codecs are sent once, and features again would have more bytes: leave out rounds or codecs"
+            )
         return self
 
     @property

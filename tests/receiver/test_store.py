@@ -60,6 +60,7 @@ def test_what_was_received_is_on_disk_when_the_call_returns(tmp_path: Path) -> N
 def test_synchronous_is_full(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
         assert store._fetch("PRAGMA synchronous") == [(2,)]
+        assert store._fetch("PRAGMA fullfsync") == [(1,)]
         assert store._fetch("PRAGMA journal_mode") == [("wal",)]
 
 

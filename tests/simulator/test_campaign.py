@@ -328,6 +328,7 @@ CLEAN = HEAD + "channels = ['clean']\n"
         (CLEAN + "[[wire]]\ndatagram = 7\n", "wire.0.datagram: "),
         (CLEAN + "[[codecs]]\ncodec = 'mp3'\nbudget = 99\n", "codecs.0: no codec is called 'mp3'"),
         (CLEAN + "[[codecs]]\ncodec = 'dct'\n", "codecs.0.budget is missing"),
+        (CLEAN + "rounds = 2\n[[codecs]]\ncodec = 'dct'\nbudget = 99\n", "codecs are sent once"),
         (CLEAN + "grid = [1, 5]\n", "grid: .*2 to 4096"),
         (CLEAN + "name = '../up'\n", "name: "),
     ],
