@@ -108,10 +108,15 @@ class Journal:
                 self.finished[record["key"]] = Result(tuple(record["rows"]), tuple(record["seconds"]))
 
     def _write(self, record: Mapping[str, object]) -> None:
-        self._file.write(json.dumps(record, allow_nan=False).encode() + b"\n")
+        line = json.dumps(record, allow_nan=False).encode() + b"\n"
+        try:
+            while line:  # a disk that fills up takes a part first
+                line = line[self._file.write(line) :]
+        except OSError as error:
+            raise FileFormatError(f"cannot write {self.path}: {error.strerror}; run again to go on") from error
 
     def add(self, key: str, result: Result) -> None:
-        """Keep a finished trial."""
+        """Keep a finished trial; raises FileFormatError where the disk is full."""
         self._write({"key": key, "rows": list(result.rows), "seconds": list(result.seconds)})
         self.finished[key] = result
 

@@ -135,7 +135,9 @@ def test_each_sample_meets_a_harm_of_its_own(channel: str) -> None:
 
 
 def test_a_method_draws_anew_in_each_sample() -> None:
-    assert len(set(by_sample("random_network", **NODES, channels=["clean"]))) == 3
+    found = by_sample("random_network", **NODES, channels=["clean"])
+    assert len(set(found)) == 3
+    assert not set(found) & set(by_sample("random_network", **NODES, channels=["clean"], seed=1))
 
 
 def test_more_of_anything_keeps_the_trials_there_are() -> None:

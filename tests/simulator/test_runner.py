@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -105,6 +106,32 @@ def test_another_file_is_not_overwritten(tmp_path: Path, content: bytes) -> None
     with pytest.raises(FileFormatError, match="not a journal"):
         Journal(path)
     assert path.read_bytes() == content
+
+
+@pytest.mark.parametrize("written", [0, 7])
+def test_a_full_disk_is_one_clear_error_and_what_was_kept_stays(tmp_path: Path, written: int) -> None:
+    path = tmp_path / "journal.jsonl"
+    with Journal(path) as journal:
+        Run(TASKS[:2], draw).collect(journal)
+        file = journal._file
+
+        class Full:
+            room = written
+
+            def write(self, data: bytes) -> int:
+                if not self.room:
+                    raise OSError(errno.ENOSPC, "No space left on device")
+                taken = file.write(data[: self.room])
+                self.room -= taken
+                return taken
+
+        journal._file = Full()  # type: ignore[assignment]
+        with pytest.raises(FileFormatError, match=r"journal.jsonl: No space left on device; run again"):
+            Run(TASKS, draw).collect(journal)
+        journal._file = file
+    with Journal(path) as journal:
+        assert len(journal.finished) == 2
+        assert Run(TASKS, draw).collect(journal) == [draw(task) for task in TASKS]
 
 
 def test_a_folder_in_place_of_the_journal_is_one_clear_error(tmp_path: Path) -> None:

@@ -117,8 +117,9 @@ def test_survival_is_repeatable_and_protection_protects(name: str) -> None:
 
         bare, strong = survive("none"), survive("rs127")
         assert bare == survive("none")
-    assert bare.sent <= 900
-    assert strong.sent <= 900
+    assert bare.sent == len(bare.message.data) <= 900
+    assert strong.sent == len(find_protection("rs127").encode(strong.message.data)) <= 900
+    assert strong.sent >= 2 * len(strong.message.data)
     assert len(bare.errors) == 8
     assert strong.failed == 0
     assert strong.errors == (strong.message.nrmse,) * 8
