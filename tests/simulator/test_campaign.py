@@ -508,6 +508,14 @@ def test_a_raster_meets_a_harm_of_its_own_in_each_sample() -> None:
     assert len({row["nrmse"] for row in rows if row["method"] == "scattered_samples"}) == 3
 
 
+def test_a_raster_is_lost_by_its_own_datagrams() -> None:
+    sent = {"codec": "scattered_samples", "budget": 900, "datagram": 1400}
+    plan = RASTER | {"codecs": [sent], "seeds": 8, "methods": ["nearest"], "features": [{"pieces": 4}]}
+    whole, *_ = rows_of(campaign(**plan | {"seeds": 1}, channels=["clean"]))[1:]
+    rows = rows_of(campaign(**plan, channels=["erasure:p=0.5"]))
+    assert {row["nrmse"] for row in rows if row["method"] == "scattered_samples"} == {whole["nrmse"], None}
+
+
 def test_a_raster_has_no_points_to_move() -> None:
     plan = campaign(**RASTER, channels=["gaussian:std=0.1,axes=z;erasure:p=0.1", "erasure:p=0.1"])
     assert [row["method"] for row in rows_of(plan)] == ["linear", "linear", "dct rs223"]
