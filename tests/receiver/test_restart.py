@@ -121,6 +121,26 @@ async def test_a_harmed_copy_that_a_better_one_replaced_stays_replaced(running: 
         assert (await client.get("/v1/surfaces/hills/features")).content == second
 
 
+async def test_what_could_not_be_stored_is_new_when_it_comes_again(
+    running: Running, features: FeatureSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    packets = packets_of(features, "hills")
+
+    def full(*args: Any, **options: Any) -> Any:
+        raise StoreError("the store failed: database or disk is full")
+
+    async with running(train=stuck) as client:
+        await client.transmit("hills", packets[0])
+        with monkeypatch.context() as disk:
+            disk.setattr(Store, "receive", full)
+            assert (await client.transmit("hills", b"".join(packets))).status_code == 503
+        again = (await client.transmit("hills", b"".join(packets))).json()
+        assert (again["delivery"]["new"], again["complete"]) == (len(packets) - 1, True)
+        before = (await client.get("/v1/surfaces/hills/features")).content
+    async with running(train=stuck) as client:
+        assert (await client.get("/v1/surfaces/hills/features")).content == before
+
+
 async def test_a_failure_is_remembered(running: Running, features: FeatureSet) -> None:
     def fail(features: FeatureSet, settings: NetworkSettings, *, callback: Any) -> SurfaceModel:
         raise StoreError("no")

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info
 
 from common.errors import FileFormatError, ParameterError
 from simulator.runner import Journal, Result, Run, WorkerError
@@ -51,6 +52,17 @@ def test_results_come_in_the_order_of_the_tasks_whatever_the_workers() -> None:
     alone = Run(TASKS, draw, 1).collect()
     assert [result.rows[0]["seed"] for result in alone] == list(range(7))
     assert Run(TASKS, draw, 2).collect() == alone
+
+
+def threads(task: Draw) -> Result:
+    np.ones((8, 8)) @ np.ones((8, 8))
+    return Result(({"threads": max(pool["num_threads"] for pool in threadpool_info())},), (None,))
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_every_task_has_one_thread_for_its_sums(workers: int) -> None:
+    results = Run(TASKS[:2], threads, workers).collect()
+    assert [row["threads"] for result in results for row in result.rows] == [1, 1]
 
 
 def test_a_journal_cut_at_any_byte_resumes_to_the_same_results(tmp_path: Path) -> None:
