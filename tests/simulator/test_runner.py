@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_info
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from common.errors import FileFormatError, ParameterError
 from simulator.runner import Journal, Result, Run, WorkerError
@@ -60,8 +60,11 @@ def threads(task: Draw) -> Result:
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_every_task_has_one_thread_for_its_sums(workers: int) -> None:
-    results = Run(TASKS[:2], threads, workers).collect()
+def test_every_task_has_one_thread_for_its_sums(workers: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        monkeypatch.setenv(name, "2")  # of the workers
+    with threadpool_limits(2):
+        results = Run(TASKS[:2], threads, workers).collect()
     assert [row["threads"] for result in results for row in result.rows] == [1, 1]
 
 
