@@ -496,6 +496,30 @@ def ranking_html(cells: Sequence[Contest]) -> str:
     )
 
 
+def lines_html(rows: Sequence[Row]) -> str:
+    """Every line under every channel, the best first: what no plot and no contest shows."""
+    line_of = Lines(rows)
+    body = []
+    for (surface, axis, level, channel), of in group(rows, _place).items():
+        medians = {line: Quartiles.of([row["nrmse"] for row in its]) for line, its in group(of, line_of).items()}
+        sizes = {line: _median(its, "bytes") for line, its in group(of, line_of).items()}
+        body += [
+            [
+                _nice_name(surface),
+                _channel(axis, level, channel),
+                line,
+                _distortion(its.median),
+                f"{_distortion(its.low)} to {_distortion(its.high)}",
+                str(its.failed or ""),
+                f"{sizes[line]:,.0f}",
+            ]
+            for line, its in sorted(medians.items(), key=lambda item: (item[1].median, item[0]))
+        ]
+    caption = "Medians over the samples, the best first; a sample that fails counts as infinitely bad."
+    head = ["surface", "channel", "line", "NRMSE", "quartiles", "failed", "bytes"]
+    return table(head, body, names=3, caption=caption)
+
+
 def _distortion(value: float) -> str:
     return "fails" if math.isinf(value) else f"{value:.4f}" if value >= 0.001 else f"{value:.2g}"
 
@@ -531,12 +555,14 @@ def render(rows: Sequence[Row], words: Words, seconds: Sequence[float | None] | 
     parts = [f"<h1>{escape(words.title)}</h1>", f'<p class="lead">{escape(words.lead)}</p>', _tried(rows)]
     parts.append(f"<pre>{escape(words.command)}</pre>")
     cells = contests(rows)
+    lines = choose_lines(sent)
+    by_axis = {axis: curves(of, "level") for axis, of in group(sent, lambda row: row["axis"]).items()}
     if cells:
         parts += ["<h2>Who wins where</h2>", contests_html(cells, words.notes), ranking_html(cells)]
-    lines = choose_lines(sent)
-    for axis, of in group(sent, lambda row: row["axis"]).items():
-        of_axis = curves(of, "level")
-        if not any(len(points) > 1 for lines in of_axis.values() for points in lines.values()):
+    elif not all(map(_has_levels, by_axis.values())) or len(set(map(Lines(sent), sent))) > len(lines):
+        parts += ["<h2>Distortion of every line</h2>", lines_html(rows)]
+    for axis, of_axis in by_axis.items():
+        if not _has_levels(of_axis):
             continue
         look = look_of(str(axis))
         parts += [f"<h2>Distortion against {escape(look.label)}</h2>", _curves_html(of_axis, look, lines)]
@@ -553,6 +579,10 @@ def render(rows: Sequence[Row], words: Words, seconds: Sequence[float | None] | 
             ),
         ]
     return page(words.title, "\n".join(parts))
+
+
+def _has_levels(of_axis: Curves) -> bool:
+    return any(len(points) > 1 for lines in of_axis.values() for points in lines.values())
 
 
 def _curves_html(of_axis: Curves, look: AxisLook, lines: Sequence[str]) -> str:

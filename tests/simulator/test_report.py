@@ -327,3 +327,28 @@ def test_tables_escape_text_and_pages_name_their_language() -> None:
 def test_the_cells_are_medians_and_quartiles_over_the_samples() -> None:
     lines = report.cells_csv([row(method="network", level=0.1, sample=k, nrmse=n) for k, n in enumerate((1, 2, 9))])
     assert lines.splitlines()[1] == "peaks,noise,0.1,network,300,3,0,2,1,9"
+
+
+def test_lines_that_neither_contest_nor_plot_shows_are_in_a_table() -> None:
+    wires = [f'{{"parity":{k / 10}}}' for k in range(10)]
+    one_channel = [
+        row(method="network", level=None, axis="channel", wire=wire, sample=s, bytes=900 + k, nrmse=0.1 * (10 - k))
+        for k, wire in enumerate(wires[:2])
+        for s in range(3)
+    ]
+    failed = row(method="network", level=None, axis="channel", wire=wires[0], sample=3, failure="NotReadyError")
+    html = report.render([*one_channel, failed], WORDS)
+    assert "<h2>Distortion of every line</h2>" in html
+    assert html.index("network, parity 0.1") < html.index("network, parity 0</td>")  # the best first
+    assert re.search(
+        r"gaussian:std=1</td>.*parity 0.1</td><td>0.9000</td><td>0.9000 to 0.9000</td><td></td><td>901</td>", html
+    )
+    assert "<td>1</td><td>900</td>" in html
+
+    many = [row(method="network", level=x, wire=wire, nrmse=x) for wire in wires for x in (0.1, 0.2)]
+    html = report.render(many, WORDS)
+    assert html.index("<h2>Distortion of every line</h2>") < html.index("the table above has them all")
+
+    drawn = report.render([each for each in many if each["wire"] in wires[:8]], WORDS)
+    assert "every line" not in drawn
+    assert "every line" not in report.render(rows(), WORDS)
