@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from decimal import ROUND_CEILING, Context
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
@@ -116,7 +117,8 @@ def piece_of(points: FloatArray, region: Region, gap: float) -> IntArray:
 def suitable_gap(points: FloatArray, region: Region) -> float:
     """The segment gap for points, shape (n, 3), of which nothing says how large their pieces should be.
 
-    It cuts the region into `USUAL_PIECES`; where that would leave nearly all of them empty, into fewer.
+    It cuts the region into `USUAL_PIECES`; where that would leave nearly all of them empty, into fewer. Of the gaps
+    that make as many pieces it is one of few digits, since it stands in every packet.
     """
     area, longer = region.width * region.height, max(region.width, region.height)
     gap = math.sqrt(area / USUAL_PIECES)
@@ -124,7 +126,9 @@ def suitable_gap(points: FloatArray, region: Region) -> float:
     if math.prod(region.pieces(gap)) > most:
         # Whole rows and columns are at most (width / gap + 1) (height / gap + 1) pieces: below `most` with these two.
         gap = max(2 * math.sqrt(area / most), 4 * longer / most)
-    return gap
+    pieces = region.pieces(gap)
+    rounded = (float(Context(digits, ROUND_CEILING).create_decimal_from_float(gap)) for digits in range(1, 17))
+    return next((short for short in rounded if short <= longer and region.pieces(short) == pieces), gap)
 
 
 def extract_features(

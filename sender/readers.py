@@ -61,6 +61,12 @@ NAMES: Mapping[str, frozenset[str]] = {
 }
 """What the columns of a text file may be called, in any case, a unit in brackets after it. Depths keep their sign."""
 
+GRIDS = (
+    "heights of a grid, a row a line, separated by blanks, are read where the lines of an ESRI ASCII grid stand before "
+    "them: ncols, nrows, xllcorner, yllcorner and cellsize, each with its value"
+)
+"""What is said of a table that may be a grid, of which --columns would take three columns of heights."""
+
 UNDERSTOOD = "; ".join(f"{axis} may be called {', '.join(sorted(names))}" for axis, names in NAMES.items())
 
 
@@ -192,7 +198,10 @@ def _parse_npy(data: bytes, name: str, columns: Sequence[str] | None, most: int 
     if columns is not None and array.ndim == 2 and array.shape[1]:
         array = array[:, _columns([""] * array.shape[1], columns, name)]
     if array.ndim != 2 or array.shape[1] != 3:
-        raise FileFormatError(f"{name} holds an array of shape {array.shape}; accepted is (n, 3), columns x, y, z")
+        grids = f"; {GRIDS}" if array.ndim == 2 else ""
+        raise FileFormatError(
+            f"{name} holds an array of shape {array.shape}; accepted is (n, 3), columns x, y, z{grids}"
+        )
     if array.dtype.kind not in "fiu":
         raise FileFormatError(f"{name} holds {array.dtype}; accepted are real numbers")
     return array
@@ -396,9 +405,10 @@ def _named(labels: list[str], name: str) -> tuple[int, int, int]:
     found = [(bare if axis in bare else axes, axis) for axis in NAMES]
     if any(names.count(axis) != 1 for names, axis in found):
         names = f" ({_listed(labels)})" if any(labels) else ""
+        grids = "" if any(axes) else f"; {GRIDS}"
         raise FileFormatError(
             f"{name} has {len(labels)} columns{names}, and which of them are x, y and z is not clear; "
-            f"{UNDERSTOOD}; or say which they are, for example --columns 0,1,2 (as JSON and TOML: columns)"
+            f"{UNDERSTOOD}; or say which they are, for example --columns 0,1,2 (as JSON and TOML: columns){grids}"
         )
     x, y, z = (names.index(axis) for names, axis in found)
     return x, y, z

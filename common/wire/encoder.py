@@ -164,7 +164,8 @@ class _Search:
         if room < least:
             raise ParameterError(
                 f"no point fits into a datagram of {self._options.datagram} bytes; with these coordinates and this "
-                f"protection it takes {self._options.datagram - self._payload + spent + least}"
+                f"protection it takes at least {self._options.datagram - self._payload + spent + least}, less with a "
+                "region and a segment gap of fewer digits, which stand in every packet"
             )
         return header, room
 

@@ -121,7 +121,16 @@ def test_without_a_gap_every_cloud_has_one_that_fits(n: int, longer: float) -> N
 def test_without_a_gap_a_region_has_as_many_pieces_as_usual() -> None:
     cloud = np.random.default_rng(0).random((11, 3)) * (3e3, 1e3, 1.0)
     width, height = np.ptp(cloud[:, :2], axis=0)
-    assert extract_features(cloud, gap=None).gap == np.sqrt(width * height / 1024)
+    features = extract_features(cloud, gap=None)
+    assert features.gap is not None
+    assert features.region.pieces(features.gap) == features.region.pieces(np.sqrt(width * height / 1024))
+
+
+def test_without_a_gap_it_is_short_on_the_line() -> None:
+    # sqrt(area / 1024) is 13.860048730350805, which takes 9 bytes of every packet.
+    rows, columns = np.mgrid[:77, :105] * 4.988744589
+    features = extract_features(np.column_stack([columns.ravel(), rows.ravel(), rows.ravel() % 7]), gap=None)
+    assert features.gap == 14.0
 
 
 def test_points_outside_of_the_region_are_refused() -> None:

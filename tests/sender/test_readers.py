@@ -447,6 +447,23 @@ def test_a_grid_has_no_columns_and_no_more_points_than_asked_for() -> None:
         parse_points(GRID.encode(), "a.asc", most=5)
 
 
+@pytest.mark.parametrize(
+    ("data", "name"),
+    [(b"V1,V2,V3,V4\n1,2,3,4\n5,6,7,8\n", "a.csv"), (npy(np.arange(8.0).reshape(2, 4)), "a.npy")],
+)
+def test_a_matrix_of_heights_is_told_how_a_grid_is_read(data: bytes, name: str) -> None:
+    with pytest.raises(FileFormatError, match="heights of a grid, a row a line, separated by blanks"):
+        parse_points(data, name)
+    told = b"ncols 4\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 1\n1 2 3 4\n5 6 7 8\n"
+    assert parse_points(told, "a.csv").points[:4].tolist() == [[k + 0.5, 1.5, k + 1] for k in range(4)]
+
+
+def test_columns_of_which_some_are_known_are_no_grid() -> None:
+    with pytest.raises(FileFormatError, match="not clear") as error:
+        parse_points(b"lon,a,b,c\n1,2,3,4\n", "a.csv")
+    assert "grid" not in str(error.value)
+
+
 def test_points_in_a_file_of_grids_are_read() -> None:
     np.testing.assert_array_equal(parse_points(b"0 1 2.5\n3 4 -5\n", "a.asc").points, POINTS)
 
