@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from common.errors import MissingExtraError, ParameterError, PointsError
 from common.surface import Region
-from common.wire import WireOptions
+from common.wire import WireOptions, encode
 from sender.features import extract_features
 from simulator.__main__ import app
 from simulator.campaign import Campaign, FeatureSettings, Trial
@@ -215,6 +215,21 @@ def test_the_budget_holds_and_is_used() -> None:
     plan = campaign(surfaces=["peaks"], features=[{"budget": 700}], channels=["clean"], seeds=2, methods=["linear"])
     for row in rows_of(plan):
         assert 0.6 * 700 < int(row["bytes"] or 0) <= 700
+
+
+def test_finer_pieces_that_take_fewer_bytes_are_found() -> None:
+    # Cut into 9, 860 m have a gap of 17 digits, which leaves little of a datagram of 64 bytes; cut into 10 it is 86.
+    x, y = np.meshgrid(np.arange(0.0, 601, 10), np.arange(0.0, 861, 10))
+    cloud = np.column_stack([x.ravel(), y.ravel(), np.hypot(x, y).ravel()])
+    wire = WireOptions(datagram=64, coding="compact", parity=0.5)
+
+    def sent(gap: float) -> int:
+        return sum(map(len, encode(extract_features(cloud, gap=gap), transmission="budget", options=wire)))
+
+    budget = sent(86)
+    assert sent(860 / 9) > 2 * budget
+    features = choose_features(cloud, Region(0, 600, 0, 860), FeatureSettings(budget=budget), wire, None)
+    assert features.gap == 86
 
 
 def test_a_budget_nothing_fits_into_is_a_clear_error() -> None:
