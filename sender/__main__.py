@@ -38,7 +38,7 @@ console = Console()
 DEFAULTS = Settings.model_construct()
 
 WORTH_TELLING = 2.0
-"""Seconds from which on it is said how long the channel takes."""
+"""Seconds from which on it is said how long there is to wait for the channel."""
 
 STEPS = 200
 """Parts that the wait for a channel is drawn in."""
@@ -162,7 +162,7 @@ def send(
         f"{len(prepared.packets)} packets, {prepared.cost.total} bytes"
         + (f", {prepared.cost.protection} of them for protection" if prepared.cost.protection else "")
     )
-    sleep = _say_how_long if virtual_time else _wait_for_channel
+    sleep = _say_seconds if virtual_time else _wait_for_channel
     transport = ChannelTransport(httpx.AsyncHTTPTransport(), harm, sleep=sleep) if harm else None
     sent, trained = anyio.run(_send, prepared, order, receiver, transport, wait)
     counts = sent.receipt.packets
@@ -197,18 +197,18 @@ def _told(surface: Mapping[str, Any]) -> list[str]:
     return lines + [f"network: {note}" for note in network.get("notes", ())]
 
 
-async def _say_how_long(seconds: float) -> None:
-    """Say how long the channel takes, where that is long enough to wonder."""
-    if seconds >= WORTH_TELLING:
+async def _say_seconds(seconds: float) -> None:
+    """Say how long the channel takes, where it takes time."""
+    if seconds > 0:
         console.print(f"the channel takes about {duration(seconds)}", highlight=False, soft_wrap=True)
 
 
 async def _wait_for_channel(seconds: float) -> None:
     """Wait for the channel; where that is long, with a word before and a bar meanwhile."""
-    await _say_how_long(seconds)
     if seconds < WORTH_TELLING:
         await anyio.sleep(seconds)
         return
+    await _say_seconds(seconds)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as bar:
         for _ in bar.track(range(STEPS), description="on the air"):
@@ -216,11 +216,13 @@ async def _wait_for_channel(seconds: float) -> None:
 
 
 def duration(seconds: float) -> str:
-    """Seconds as people say them, to the second.
+    """Seconds as people say them, to the second; fewer than two to two digits.
 
-    >>> duration(4.6), duration(1326.4), duration(7380)
-    ('5 s', '22 min 6 s', '2 h 3 min 0 s')
+    >>> duration(0.2791), duration(4.6), duration(1326.4), duration(7380)
+    ('0.28 s', '5 s', '22 min 6 s', '2 h 3 min 0 s')
     """
+    if seconds < WORTH_TELLING:
+        return f"{seconds:.2g} s"
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return (f"{hours} h " if hours else "") + (f"{minutes} min " if hours or minutes else "") + f"{rest} s"

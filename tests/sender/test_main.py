@@ -14,7 +14,7 @@ import anyio
 import httpx
 import pytest
 
-from sender.__main__ import _wait_for_channel, duration, main
+from sender.__main__ import _say_seconds, _wait_for_channel, duration, main
 from sender.client import ReceiverClient, RetryPolicy, Sent
 
 SUMMARY = {"outliers": [3, 7], "notes": ["the spread [narrowest] stays"]}
@@ -256,6 +256,13 @@ def test_a_quick_channel_is_not_worth_a_word(
     monkeypatch.setattr("sender.__main__.anyio.sleep", sleep)
     anyio.run(_wait_for_channel, 0.3)
     sleep.assert_awaited_once_with(0.3)
+    assert capsys.readouterr().out == ""
+
+
+def test_in_virtual_time_a_quick_channel_is_told_too(capsys: pytest.CaptureFixture[str]) -> None:
+    anyio.run(_say_seconds, 1.864)
+    assert capsys.readouterr().out == "the channel takes about 1.9 s\n"
+    anyio.run(_say_seconds, 0.0)
     assert capsys.readouterr().out == ""
 
 
