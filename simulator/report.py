@@ -158,7 +158,8 @@ def choose_lines(rows: Sequence[Row], most: int = MAX_LINES) -> list[str]:
 
 
 def _nice_name(surface: str) -> str:
-    return surface.replace("-", " ").capitalize()
+    # A file is called as it is.
+    return surface if "." in surface else surface.replace("-", " ").capitalize()
 
 
 def draw_curves(all_curves: Curves, look: AxisLook, lines: Sequence[str]) -> Figure:

@@ -80,6 +80,14 @@ def test_one_of_a_kind_is_in_the_singular() -> None:
     assert "1 reconstruction: hills; 1 sample of each; 1 channel; 1 method; on a grid" in html
 
 
+def test_a_file_keeps_its_name() -> None:
+    html = report.render(
+        [row(surface="Bay-North.csv", method=m, level=0.1, nrmse=1) for m in ("network", "cubic")], WORDS
+    )
+    assert "<th>Bay-North.csv</th>" in html
+    assert "Bay north" not in html
+
+
 def test_words_are_escaped() -> None:
     html = report.render(rows(), WORDS)
     assert "A &lt;title&gt;" in html
