@@ -72,8 +72,9 @@ class Lifted:
         """Fit to points (n, d + 1); spread and smoothing are chosen where they are None."""
         spread, smoothing = _choose(points, weights, spread, smoothing, tick)
         network, dense = cls.solved(points, weights, spread, smoothing)
-        residuals, deviations = dense.leave_one_out(network.coefficients)
-        network.variance = float(np.mean(residuals[:, -1] ** 2 / deviations))
+        if len(points) > 1:
+            residuals, deviations = dense.leave_one_out(network.coefficients)
+            network.variance = float(np.mean(residuals[:, -1] ** 2 / deviations))
         return network
 
     @classmethod
@@ -196,6 +197,8 @@ def _choose(
         for s in ((spread,) if spread is not None else (unit * SPREADS).tolist())
         for m in ((smoothing,) if smoothing is not None else SMOOTHINGS)
     ]
+    if len(points) == 1:
+        return pairs[0]
     errors = []
     for index, (s, m) in enumerate(pairs):
         errors.append(sum(_held_out(points, weights, order, fold, s, m) for fold in folds))

@@ -177,7 +177,7 @@ def noise_share(X: FloatArray, ratios: FloatArray) -> FloatArray:
     Noise is as strong everywhere, so what is missing in the calm neighbourhoods is not noise. The median does not see
     a few large residuals, which noise does not have either.
     """
-    _, near = KDTree(X).query(X, k=AROUND)
+    _, near = KDTree(X).query(X, k=range(1, min(AROUND, len(X)) + 1))
     calm = np.quantile(np.median(ratios[near] ** 2, axis=1), CALM, axis=0)
     return np.asarray(np.minimum(1.0, calm / _CALM_SQUARE))
 

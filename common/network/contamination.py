@@ -96,6 +96,8 @@ def suspected(fit: Fit) -> bool:
 
 def heavy(residuals: FloatArray, kurtosis: float = HEAVY) -> bool:
     """Whether any column of residuals (n, k) has heavier tails than that, or a heavier side."""
+    # Divided by a power of two first, which does not round: where most is flat, fourth powers have no double.
+    residuals = np.ldexp(residuals, -np.frexp(np.max(np.abs(residuals)))[1])
     squares, sizes = np.mean(residuals**2, axis=0), np.abs(residuals)
     tails = np.mean(residuals**4, axis=0) > kurtosis * squares**2
     usual = np.median(sizes, axis=0) / NORMAL_MEDIAN

@@ -291,21 +291,33 @@ def _train_sparse(samples: Samples, wanted: Wanted, tick: Tick) -> Trained:
 
 def _thin(trained: Trained, network: Expansion, samples: Samples, wanted: Wanted, tick: Tick) -> IntArray:
     """Fewer centres than points, with the kernel of the best candidate; returns their rows."""
-    chosen = greedy.select(
-        samples.X,
-        samples.y - network.bias,
-        network.kernel.gram,
-        smoothing=network.smoothing,
-        weights=samples.weights,
-        tolerance=wanted.tolerance,
-        max_centers=wanted.max_centers,
-        tick=lambda share: tick("centres", share),
-    )
+
+    def choice() -> greedy.Selection:
+        return greedy.select(
+            samples.X,
+            samples.y - network.bias,
+            network.kernel.gram,
+            smoothing=network.smoothing,
+            weights=samples.weights,
+            tolerance=wanted.tolerance,
+            max_centers=wanted.max_centers,
+            tick=lambda share: tick("centres", share),
+        )
+
+    chosen, middle = choice(), np.average(samples.y, axis=0, weights=samples.weights)
+    if chosen.history[-1] > max(wanted.tolerance, EXPLODED * float(np.abs(samples.y - middle).max())):
+        # Where all points were interpolated the bias may be far off the values, and few centres do not make up for it.
+        network.bias = middle
+        chosen = choice()
     network.centers, network.spreads = samples.X[chosen.indices], network.kernel.spreads
     network.coefficients = network.kernel.amplitudes[:, None, None] * chosen.coefficients
-    left = np.mean((network.predict(samples.X) - samples.y) ** 2, axis=0)
-    network.excess = np.maximum(0.0, left - network.smoothing * network.variance)
+    left = np.abs(network.predict(samples.X) - samples.y)
+    network.excess = np.maximum(0.0, np.mean(left**2, axis=0) - network.smoothing * network.variance)
     trained.history, trained.stop_reason = chosen.history, chosen.stop_reason
+    error = float(left.max())
+    if chosen.stop_reason == "rounding" or (chosen.stop_reason == "tolerance" and error > wanted.tolerance):
+        # The coefficients are less exact than the basis that they were chosen by.
+        trained.history[-1], trained.stop_reason = error, "rounding"
     return chosen.indices
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from common.network import evaluation
+from common.network import RBFNetwork, evaluation
 from common.network.autoassociative import Lifted
 from common.surface import FloatArray
 
@@ -47,3 +47,10 @@ def test_where_no_fixed_point_is_near_height_and_deviation_stay_finite() -> None
     assert np.sqrt(np.mean((heights - slope(QUERIES)) ** 2)) < 0.3
     assert np.isfinite(network.predict_std(QUERIES)).all()
     assert np.isfinite(network.predict_gradient(QUERIES)).all()
+
+
+def test_values_at_one_place_are_their_mean() -> None:
+    network = RBFNetwork(mapping="autoassociative").fit(np.ones((20, 2)), np.arange(20.0))
+    heights, deviations = network.predict([[1.0, 1.0], [2.0, 2.0]], return_std=True)
+    np.testing.assert_allclose(heights, 9.5)
+    assert np.isfinite(deviations).all()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from common.network import RBFNetwork, contamination
-from common.network.contamination import Reweighted, is_believed, reweighted
+from common.network.contamination import Reweighted, heavy, is_believed, reweighted
 from common.surface import FloatArray
 from tests.common.network.surfaces import sine
 
@@ -116,3 +116,11 @@ def test_wrong_points_know_nothing_of_each_other() -> None:
     found = Reweighted(alone, np.ones(400), float(np.median(np.abs(alone))) / 0.6745)
     assert not is_believed(alone, found, 0.1 * values, near, 0.0)
     assert not is_believed(noise, found, values, near, 0.0)
+
+
+def test_tails_are_told_where_fourth_powers_have_no_double() -> None:
+    residuals = np.where(np.arange(100) == 3, 1.0, 1e-3)[:, None] * [1.0, 0.5]
+    normal = np.random.default_rng(0).normal(size=(100, 1))
+    for scale in (1.0, 1e100, 1e-100):
+        assert heavy(scale * residuals)
+        assert not heavy(scale * normal)

@@ -313,6 +313,24 @@ def test_centres_are_added_until_the_tolerance_is_met() -> None:
     assert network.history_[-1] <= 0.05 < network.history_[-2]
 
 
+@pytest.mark.parametrize("n", [1000, 5000])
+def test_a_tolerance_that_rounding_keeps_from_the_points_is_not_said_to_be_met(n: int) -> None:
+    X, y = cloud(n)
+    network = RBFNetwork(spread=1.0, smoothing=0.0, tolerance=1e-9).fit(X, y)
+    error = np.max(np.abs(network.predict(X) - y))
+    assert error > 1e-9
+    assert network.stop_reason_ == "rounding"
+    assert network.history_[-1] == pytest.approx(error, rel=1e-3)
+
+
+@pytest.mark.parametrize("n", [1000, 5000])
+def test_few_centres_of_noisy_points_without_smoothing_stay_near_the_values(n: int) -> None:
+    X, y = cloud(n)
+    y += np.random.default_rng(1).normal(0, 0.1, n)
+    network = RBFNetwork(spread=0.8, smoothing=0.0, max_centers=5).fit(X, y)
+    assert np.max(np.abs(network.predict(X) - y)) < np.max(np.abs(y))
+
+
 @pytest.mark.parametrize(
     "change",
     [

@@ -109,3 +109,13 @@ def test_a_surface_without_centres_has_the_deviation_of_its_points(
     np.testing.assert_allclose(std, 0.0 if flat else np.sqrt(np.mean((y - z[0]) ** 2)), rtol=0.01, atol=1e-12)
     restored = RBFNetwork.from_state(network.to_state())
     np.testing.assert_array_equal(restored.predict(X[:200], return_std=True)[1], std)
+
+
+@pytest.mark.filterwarnings("error")
+def test_many_points_within_rounding_of_a_few_places_are_fitted() -> None:
+    rng = np.random.default_rng(4)
+    X = np.repeat(rng.random((10, 2)), 600, axis=0)
+    y = sine(X) + rng.normal(0, 0.1, len(X))
+    z, std = RBFNetwork().fit(X + rng.normal(0, 1e-12, X.shape), y).predict(X[::600], return_std=True)
+    np.testing.assert_allclose(z, sine(X[::600]), atol=0.1)
+    assert np.isfinite(std).all()
