@@ -108,7 +108,7 @@ def coarsened(
     tick : callable
         ``tick(fraction)`` of what is tried, if anything is.
     """
-    if np.median(partition.smoothing) <= EXACT or _share(partition, LEAST) >= 1:
+    if partition.smoothing.min() <= EXACT or _share(partition, LEAST) >= 1:
         return partition
     afforded = [squares for squares in SQUARES if squares**3 <= WORTH * len(samples)]
     # Of a constant output there is nothing to know, and rounding is its noise.
@@ -211,7 +211,7 @@ def _promising(
 
 def _share(partition: Partition, merged: float) -> float:
     """Variance that a network of points merged by so many leaves, over what a patch does."""
-    level = float(np.median(partition.smoothing))
+    level = float(partition.smoothing.min())
     kernel = partition.kernel
     narrower = Kernel(kernel.spreads * merged**-0.5, kernel.amplitudes)
     return _left(narrower, level / merged, LATTICE) / max(_left(kernel, level, PATCH), TINY)

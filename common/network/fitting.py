@@ -18,7 +18,7 @@ from common.network.autoassociative import Lifted
 from common.network.calibration import calibrated
 from common.network.expansion import Expansion
 from common.network.kernel import ladder_spreads, mean_spacing, nearest_distance, span
-from common.network.partition import CALM, PROBES, Partition, Tick, strays, tolerated
+from common.network.partition import BEYOND, CALM, PROBES, Partition, Tick, strays, tolerated
 from common.network.selection import (
     CLEAN,
     NOISY,
@@ -54,9 +54,6 @@ LOOKS = 256
 
 APART = 8
 """Neighbours between which and a point such a place lies: half a gap away where points are dense on one side of it."""
-
-BEYOND = 3.0
-"""Half ranges about the middle of the values that a surface may reach between its points."""
 
 MISSED = 0.01
 """Deviations of the values by which a surface without smoothing may be off the points."""

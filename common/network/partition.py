@@ -106,6 +106,9 @@ LOUD = 30.0
 ASTRAY = 1.5
 """Half ranges about the middle of the values within which a surface is not doubted."""
 
+BEYOND = 3.0
+"""Half ranges about the middle of the values that a surface may reach between its points."""
+
 PROBES = 2000
 """Places at which a surface is probed."""
 
@@ -125,6 +128,12 @@ FLAT = 1e-12
 """Deviation, in that of all values, below which the values of a patch are one value and rounding."""
 
 _RAISES = 12
+
+LEAST = 1e-9
+"""Smoothing that is tried first, tenfold, where a patch in a gap leaves the range of the values."""
+
+_NINE = np.array([(i, j) for i in (0.0, 0.5, 1.0) for j in (0.0, 0.5, 1.0)])
+"""Places of a square, in its sides."""
 
 
 @dataclass(slots=True, eq=False)
@@ -225,7 +234,8 @@ class Partition:
             values = np.add.reduceat(values * share[:, None], first) / total[:, None]
             codes, share = codes[first], total
         cover = Cover.over(frame, codes)
-        starts, members, spacings = _patches(cover, u, cover.runs(codes), told)
+        runs = cover.runs(codes)
+        starts, members, spacings = _patches(cover, u, runs, told)
         if spread != "auto":
             spacings[:] = spread / frame.side
         patches = len(cover)
@@ -243,6 +253,7 @@ class Partition:
                 if kernel is not made.kernel:
                     made.kernel, made.smoothing = kernel, np.full(patches, level)
                     made._solve(values, told)
+            made._hold(made._in_gaps(np.flatnonzero(np.diff(runs) == 0)), values)
         made.calibration = made._calibrated(values)
         return made
 
@@ -355,13 +366,15 @@ class Partition:
         _, density, square, _ = Spectra(grams, samples).criteria(smoothings)
         return np.stack([deviation * density, deviation**2 * len(rows) * square])
 
-    def _solve(self, values: FloatArray, tick: Tick) -> None:
-        """Coefficients, bias and amplitude of every patch, those of as many points together."""
+    def _solve(self, values: FloatArray, tick: Tick, patches: IntArray | None = None) -> None:
+        """Coefficients, bias and amplitude of every patch, or of some, those of as many points together."""
         outputs = values.shape[1]
-        self.coefficients = np.zeros((len(self.members), outputs))
-        self.bias, self.amplitude = np.zeros((len(self), outputs)), np.zeros((len(self), outputs))
+        if patches is None:
+            patches = np.arange(len(self))
+            self.coefficients = np.zeros((len(self.members), outputs))
+            self.bias, self.amplitude = np.zeros((len(self), outputs)), np.zeros((len(self), outputs))
         levels = Levels(self.kernel)
-        order = np.argsort(np.diff(self.starts), kind="stable")
+        order = patches[np.argsort(np.diff(self.starts)[patches], kind="stable")]
 
         def work(patches: IntArray) -> None:
             points, slots, real = self._batch(patches)
@@ -423,6 +436,36 @@ class Partition:
         total[0] *= tolerated(float(self.smoothing.max()))
         kernel, level = np.unravel_index(int(np.argmin(total)), total.shape)
         return kernels[kernel], float(smoothings[level])
+
+    def _in_gaps(self, patches: IntArray) -> IntArray:
+        """Those of the patches in whose blended squares there is no point: all that they know is borrowed."""
+        counts = np.diff(self.starts)[patches]
+        rows = self.members[ragged(self.starts[patches], counts)]
+        at = np.repeat(np.arange(len(patches)), counts)
+        away = np.abs(self.u[rows] - self.cover.centres[patches][at])
+        within = np.all(away <= (0.5 + BLEND_MARGIN) * self.cover.sides[patches][at, None], axis=1)
+        return patches[np.bincount(at[within], minlength=len(patches)) == 0]
+
+    def _hold(self, patches: IntArray, values: FloatArray) -> None:
+        """Smooth those of the patches, none of which has points of its own, that leave the range of the values.
+
+        Far from its points a patch is its bias, which a smooth kernel puts as far off as a polynomial would be.
+        """
+        for _ in range(_RAISES):
+            if not len(patches):
+                break
+            batches = np.array_split(patches, -(-len(patches) // BATCH))
+            patches = patches[np.concatenate([self._astray(batch, values) for batch in batches])]
+            self.smoothing[patches] = 10 * np.maximum(self.smoothing[patches], LEAST)
+            self._solve(values, lambda _stage, _share: None, patches)
+
+    def _astray(self, patches: IntArray, values: FloatArray) -> BoolArray:
+        """Which of the patches leave the range of the values at one of nine places, shape (p,)."""
+        points, slots, _ = self._batch(patches)
+        reach = (1 + 2 * BLEND_MARGIN) * self.cover.sides[patches] / self.spacings[patches]
+        places = (_NINE - 0.5) * reach[:, None, None]
+        heights = Levels(self.kernel).matrix(places, points) @ self._coefficients_at(slots) + self.bias[patches, None]
+        return np.array([strays(each, values, BEYOND) for each in heights])
 
     def _calibrated(self, values: FloatArray) -> Calibration:
         """From the leave-one-out residuals in the cells of a sample of patches."""
@@ -750,8 +793,7 @@ def _with_borrowed(
     """Add to each of the `poor` patches the points nearest to nine places of its square; mends their spacings."""
     nearest = KDTree(u, balanced_tree=False, compact_nodes=False)
     low, high = cover.squares(poor, FIT_MARGIN, RIM_MARGIN)
-    thirds = np.array([(i, j) for i in (0.0, 0.5, 1.0) for j in (0.0, 0.5, 1.0)])
-    places = low[:, None] + thirds * (high - low)[:, None]
+    places = low[:, None] + _NINE * (high - low)[:, None]
     _, rows = nearest.query(places.reshape(-1, 2), k=range(1, min(BORROWED, len(u)) + 1))
     borrowed = rows.reshape(len(poor), -1).astype(np.int32)
     runs: list[IntArray] = []

@@ -427,3 +427,14 @@ def test_clean_points_are_interpolated_without_smoothing() -> None:
     network = RBFNetwork(smoothing=0).fit(X, waves(X))
     assert not network.notes_
     np.testing.assert_allclose(network.predict(X), waves(X), atol=1e-5)
+
+
+@pytest.mark.parametrize("extent", [0.3, 1.0])
+def test_gaps_between_clusters_stay_near_the_values(extent: float) -> None:
+    rng = np.random.default_rng(1)
+    middles = 100 * rng.random((5, 2))
+    X = (middles[:, None] + extent * rng.normal(size=(5, 1000, 2))).reshape(-1, 2)
+    z = sine(X)
+    surface = Partition.fit(X, z[:, None])
+    assert np.max(np.abs(surface.predict(100 * rng.random((2000, 2))))) < 4 * np.max(np.abs(z))
+    np.testing.assert_allclose(surface.predict(X)[:, 0], z, atol=1e-5)
