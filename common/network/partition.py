@@ -444,7 +444,7 @@ class Partition:
         at = np.repeat(np.arange(len(patches)), counts)
         away = np.abs(self.u[rows] - self.cover.centres[patches][at])
         within = np.all(away <= (0.5 + BLEND_MARGIN) * self.cover.sides[patches][at, None], axis=1)
-        return patches[np.bincount(at[within], minlength=len(patches)) == 0]
+        return np.asarray(patches[np.bincount(at[within], minlength=len(patches)) == 0])
 
     def _hold(self, patches: IntArray, values: FloatArray) -> None:
         """Smooth those of the patches, none of which has points of its own, that leave the range of the values.
