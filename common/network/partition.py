@@ -30,7 +30,7 @@ from common.network.dense import Dense
 from common.network.kernel import Kernel
 from common.network.local import CACHED, FAR, Levels
 from common.network.quadtree import DEEPEST, Quadtree
-from common.network.selection import CLEAN, TINY, Kind, Samples, Spectra, believed, rounding_floor
+from common.network.selection import CLEAN, MANY_WORSE, TINY, Kind, Samples, Spectra, believed, rounding_floor
 from common.network.threads import in_order, parallel
 from common.surface import BoolArray, FloatArray, IntArray
 
@@ -107,7 +107,10 @@ ASTRAY = 1.5
 """Half ranges about the middle of the values within which a surface is not doubted."""
 
 BEYOND = 3.0
-"""Half ranges about the middle of the values that a surface may reach between its points."""
+"""The same that a surface may reach between its points."""
+
+NEARBY = 8.0
+"""Mean spacings from the nearest point within which a place is between points: a patch is about ten wide."""
 
 PROBES = 2000
 """Places at which a surface is probed."""
@@ -120,9 +123,6 @@ FAR_MORE = 16.0
 
 MORE_OR_LESS = 0.8
 """The same where the points are noisy."""
-
-DOUBTFUL = 2.0
-"""Sum of squares, over the least of a ladder, beyond which a kernel is not believed; patches have many points."""
 
 FLAT = 1e-12
 """Deviation, in that of all values, below which the values of a patch are one value and rounding."""
@@ -248,8 +248,10 @@ class Partition:
         if spread == smoothing == "auto":
             loud = made._loud(values)
             anywhere = frame.low + frame.side * frame.extent * np.random.default_rng(0).random((PROBES, 2))
-            if len(loud) or strays(made.predict(anywhere), values):
-                kernel, level = made._tempered(loud, values)
+            heights = made.predict(anywhere)
+            if len(loud) or strays(heights, values):
+                between = KDTree(X).query(anywhere)[0] < NEARBY * frame.side * float(np.median(spacings))
+                kernel, level = made._tempered(loud, values, exploded=strays(heights[between], values, BEYOND))
                 if kernel is not made.kernel:
                     made.kernel, made.smoothing = kernel, np.full(patches, level)
                     made._solve(values, told)
@@ -332,7 +334,7 @@ class Partition:
         most = max(FEW, min(MORE, len(self) // 4))
         for until, kept in (*ROUNDS, (most, 1)):
             total[:, likely] += self._summed(drawn[asked:until], values, [kernels[i] for i in likely], smoothings)
-            scores = believed(total[0, likely], total[1, likely], ladders[likely], DOUBTFUL)
+            scores = believed(total[0, likely], total[1, likely], ladders[likely], MANY_WORSE)
             ordered = likely[np.argsort(scores.min(axis=1), kind="stable")]
             best = float(smoothings[int(np.argmin(scores[likely == ordered[0]]))])
             # One ladder stays, to hold the others against.
@@ -420,11 +422,12 @@ class Partition:
         loudness = np.sqrt(np.mean(self.amplitude[alive] ** 2, axis=1)) / deviations[alive]
         return np.asarray(alive[loudness > LOUD * np.median(loudness)])
 
-    def _tempered(self, loud: IntArray, values: FloatArray) -> tuple[Kernel, float]:
+    def _tempered(self, loud: IntArray, values: FloatArray, *, exploded: bool) -> tuple[Kernel, float]:
         """The calm ladder, and its smoothing, that leaves least at the points of the loud patches and of the others.
 
         The kernel that is there stays where the ladder leaves `FAR_MORE`, since that kernel errs more between the
-        points, where nothing tells; where noise hides what a kernel leaves, unless the ladder leaves clearly less.
+        points, where nothing tells; where noise hides what a kernel leaves, unless the ladder leaves clearly less. It
+        goes where it `exploded` between the points.
         """
         kernels = [self.kernel, *_ladders(CALM)]
         smoothings = SMOOTHINGS[rounding_floor(int(np.diff(self.starts).max())) <= SMOOTHINGS]
@@ -433,7 +436,7 @@ class Partition:
             asked = rng.permutation(patches)[:MORE]
             if len(asked):
                 total += len(patches) / len(asked) * self._summed(asked, values, kernels, smoothings)[1]
-        total[0] *= tolerated(float(self.smoothing.max()))
+        total[0] = np.inf if exploded else total[0] * tolerated(float(self.smoothing.max()))
         kernel, level = np.unravel_index(int(np.argmin(total)), total.shape)
         return kernels[kernel], float(smoothings[level])
 

@@ -19,6 +19,7 @@ from common.network.kernel import LADDER_STEP, mean_spacing, squared_distances, 
 from common.network.selection import (
     BEHIND,
     CLEAN,
+    MANY_WORSE,
     ROUGHNESS,
     TINY,
     WORSE,
@@ -280,7 +281,8 @@ class _Search:
         # Rounding may have asked for more smoothing than the candidate's.
         candidates = [place.candidate._replace(smoothing=self.tried[place].smoothing) for place in places]
         scores, squares, *others = (np.array([self.tried[place][i] for place in places]) for i in range(4))
-        return Scored(candidates, believed(scores, squares, are_ladders([c.kind for c in candidates])), *others)
+        ladders = are_ladders([candidate.kind for candidate in candidates])
+        return Scored(candidates, believed(scores, squares, ladders, MANY_WORSE), *others)
 
     def _best(self) -> _Place:
         return list(self.tried)[self._scored().least]

@@ -80,6 +80,9 @@ NEGLIGIBLE = 0.03
 WORSE = 4.0
 """Mean square of the leave-one-out residuals, over the least of a ladder, beyond which a candidate is not believed."""
 
+MANY_WORSE = 2.0
+"""The same where points are many: a mean of many squares is itself better known."""
+
 CLEAN = 1e-6
 """Smoothing below which the points may have no noise at all."""
 

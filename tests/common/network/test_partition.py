@@ -161,6 +161,15 @@ def test_an_edge_in_what_is_smooth_elsewhere_costs_no_more_than_a_thin_plate(
     assert np.abs(fitted.predict(Q)).max() < 1.5 * np.abs(f(X)).max()
 
 
+def test_a_kernel_goes_that_explodes_between_tracks_across_a_cliff() -> None:
+    rng = np.random.default_rng(1)
+    X = rng.random((200_000, 2))
+    X = X[np.abs((12 * X[:, 0] + 0.5) % 1 - 0.5) < 0.02][:6000]
+    steep = np.tanh(80 * (X[:, 0] - 0.5 - 0.08 * np.sin(8 * X[:, 1])))
+    fitted = Partition.fit(X, steep[:, None])
+    assert np.abs(fitted.predict(rng.random((4000, 2)))).max() < 2
+
+
 def test_a_smooth_surface_keeps_its_kernel_where_a_hole_makes_it_doubtful() -> None:
     X = scattered(9000)
     X = X[np.hypot(X[:, 0] - 0.3, X[:, 1]) > 0.7][:6000]
