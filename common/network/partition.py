@@ -129,6 +129,9 @@ FLAT = 1e-12
 
 _RAISES = 12
 
+LONE = 4
+"""Points in a cell and all that touch it below which they are lone, and tell nothing of the others."""
+
 LEAST = 1e-9
 """Smoothing that is tried first, tenfold, where a patch in a gap leaves the range of the values."""
 
@@ -242,20 +245,23 @@ class Partition:
         empty, unit = np.zeros((0, 0)), Kernel.single(1.0)
         unknown = Calibration.unknown(outputs)
         made = cls(cover, u, share, starts, members, spacings, unit, np.zeros(patches), empty, empty, empty, unknown)
-        kernel, level = made._chosen(values, spread, smoothing, told)
+        lone = made._lone(runs)
+        among = np.setdiff1d(np.arange(patches), made._that_know(lone, runs))
+        kernel, level = made._chosen(values, among, spread, smoothing, told)
         made.kernel, made.smoothing = kernel, np.full(patches, level)
         made._solve(values, told)
         if spread == smoothing == "auto":
-            loud = made._loud(values)
+            loud = np.intersect1d(made._loud(values), among)
             anywhere = frame.low + frame.side * frame.extent * np.random.default_rng(0).random((PROBES, 2))
             heights = made.predict(anywhere)
             if len(loud) or strays(heights, values):
                 between = KDTree(X).query(anywhere)[0] < NEARBY * frame.side * float(np.median(spacings))
-                kernel, level = made._tempered(loud, values, exploded=strays(heights[between], values, BEYOND))
+                calm = np.setdiff1d(among, loud)
+                kernel, level = made._tempered(loud, calm, values, exploded=strays(heights[between], values, BEYOND))
                 if kernel is not made.kernel:
                     made.kernel, made.smoothing = kernel, np.full(patches, level)
                     made._solve(values, told)
-            made._hold(made._in_gaps(np.flatnonzero(np.diff(runs) == 0)), values)
+            made._hold(np.union1d(made._in_gaps(np.flatnonzero(np.diff(runs) == 0)), lone), values)
         made.calibration = made._calibrated(values)
         return made
 
@@ -313,9 +319,9 @@ class Partition:
         return np.where(slots[:, :, None] >= 0, self.coefficients.take(slots, axis=0), 0.0)
 
     def _chosen(
-        self, values: FloatArray, spread: float | str, smoothing: float | str, tick: Tick
+        self, values: FloatArray, among: IntArray, spread: float | str, smoothing: float | str, tick: Tick
     ) -> tuple[Kernel, float]:
-        """Kernel and smoothing that foretell the points of a sample of patches best, each left out of its own."""
+        """Kernel and smoothing that foretell the points of some among the patches best, each left out of its own."""
         rough, smooth = (_ladders(), _smooth()) if spread == "auto" else ([], [Kernel.single(1.0)])
         kernels = [*rough, *smooth]
         counts = np.diff(self.starts)
@@ -327,6 +333,7 @@ class Partition:
         if len(kernels) == len(smoothings) == 1:
             return kernels[0], float(smoothings[0])
         usual = np.flatnonzero((counts >= min(40, counts.max())) & (counts <= 4 * np.median(counts)))
+        usual = np.intersect1d(usual, among)
         drawn = np.random.default_rng(0).permutation(usual if len(usual) else np.arange(len(self)))
         tick("selection", 0.0)
         total, likely, asked = np.zeros((2, len(kernels), len(smoothings))), np.arange(len(kernels)), 0
@@ -422,7 +429,7 @@ class Partition:
         loudness = np.sqrt(np.mean(self.amplitude[alive] ** 2, axis=1)) / deviations[alive]
         return np.asarray(alive[loudness > LOUD * np.median(loudness)])
 
-    def _tempered(self, loud: IntArray, values: FloatArray, *, exploded: bool) -> tuple[Kernel, float]:
+    def _tempered(self, loud: IntArray, calm: IntArray, values: FloatArray, *, exploded: bool) -> tuple[Kernel, float]:
         """The calm ladder, and its smoothing, that leaves least at the points of the loud patches and of the others.
 
         The kernel that is there stays where the ladder leaves `FAR_MORE`, since that kernel errs more between the
@@ -432,13 +439,26 @@ class Partition:
         kernels = [self.kernel, *_ladders(CALM)]
         smoothings = SMOOTHINGS[rounding_floor(int(np.diff(self.starts).max())) <= SMOOTHINGS]
         rng, total = np.random.default_rng(0), np.zeros((len(kernels), len(smoothings)))
-        for patches in (loud, np.setdiff1d(np.arange(len(self)), loud)):
+        for patches in (loud, calm):
             asked = rng.permutation(patches)[:MORE]
             if len(asked):
                 total += len(patches) / len(asked) * self._summed(asked, values, kernels, smoothings)[1]
         total[0] = np.inf if exploded else total[0] * tolerated(float(self.smoothing.max()))
         kernel, level = np.unravel_index(int(np.argmin(total)), total.shape)
         return kernels[kernel], float(smoothings[level])
+
+    def _lone(self, runs: IntArray) -> IntArray:
+        """The patches in whose cells there are points, but hardly any there and in the cells that touch them."""
+        own = np.diff(runs)
+        around = np.where(self.cover.touching >= 0, own[self.cover.touching], 0).sum(axis=1)
+        return np.flatnonzero((own > 0) & (around < LONE))
+
+    def _that_know(self, lone: IntArray, runs: IntArray) -> IntArray:
+        """The patches that have one of the points in the cells of the lone ones."""
+        if not len(lone):
+            return lone
+        known = np.isin(self.members, ragged(runs[lone], np.diff(runs)[lone]))
+        return np.flatnonzero(np.logical_or.reduceat(known, self.starts[:-1]))
 
     def _in_gaps(self, patches: IntArray) -> IntArray:
         """Those of the patches in whose blended squares there is no point: all that they know is borrowed."""
@@ -450,7 +470,7 @@ class Partition:
         return np.asarray(patches[np.bincount(at[within], minlength=len(patches)) == 0])
 
     def _hold(self, patches: IntArray, values: FloatArray) -> None:
-        """Smooth those of the patches, none of which has points of its own, that leave the range of the values.
+        """Smooth those of the patches, about a lone point or none, that leave the range of the values.
 
         Far from its points a patch is its bias, which a smooth kernel puts as far off as a polynomial would be.
         """

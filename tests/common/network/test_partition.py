@@ -170,6 +170,16 @@ def test_a_kernel_goes_that_explodes_between_tracks_across_a_cliff() -> None:
     assert np.abs(fitted.predict(rng.random((4000, 2)))).max() < 2
 
 
+@pytest.mark.parametrize("away", [3.0, 100.0])
+def test_a_lone_point_far_away_costs_the_others_nothing(away: float) -> None:
+    X, Q = scattered(5000), scattered(1000, 1)
+    alone = rmse(Partition.fit(X, bowl(X)[:, None]), bowl, Q)
+    further = np.vstack([X, [away, away / 2]])
+    fitted = Partition.fit(further, np.append(bowl(X), 0.3)[:, None])
+    assert rmse(fitted, bowl, Q) < 3 * alone
+    np.testing.assert_allclose(fitted.predict(further[-1:]), 0.3, atol=1e-3)
+
+
 def test_a_smooth_surface_keeps_its_kernel_where_a_hole_makes_it_doubtful() -> None:
     X = scattered(9000)
     X = X[np.hypot(X[:, 0] - 0.3, X[:, 1]) > 0.7][:6000]
