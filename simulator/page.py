@@ -61,11 +61,14 @@ STYLE: dict[Any, Any] = {
 
 
 def line_style(k: int) -> dict[str, Any]:
-    """Colour, dashes and marker of the `k`-th line of a plot, as matplotlib's keywords."""
+    """Colour, dashes and marker of the `k`-th line of a plot, as matplotlib's keywords; a colour that comes again has
+    other dashes and another marker.
+    """
+    other = k + k // len(OKABE_ITO)
     return {
         "color": OKABE_ITO[k % len(OKABE_ITO)],
-        "linestyle": DASHES[k % len(DASHES)],
-        "marker": MARKERS[k % len(MARKERS)],
+        "linestyle": DASHES[other % len(DASHES)],
+        "marker": MARKERS[other % len(MARKERS)],
     }
 
 

@@ -120,6 +120,9 @@ RIVALS: tuple[Rival, ...] = (
     Rival("JPEG 2000", codec="jpeg2000"),
     Rival("JPEG 2000, RS (255,223)", codec="jpeg2000", protection="rs223"),
     Rival("JPEG 2000, RS (255,127)", codec="jpeg2000", protection="rs127"),
+    Rival("SPERR", codec="sperr"),
+    Rival("SPERR, RS (255,223)", codec="sperr", protection="rs223"),
+    Rival("SPERR, RS (255,127)", codec="sperr", protection="rs127"),
 )
 
 

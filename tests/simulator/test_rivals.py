@@ -10,6 +10,8 @@ import pytest
 from common.errors import ParameterError
 from sender.surfaces import find_surface
 from simulator import rivals
+from simulator.codecs.protection import PROTECTIONS
+from simulator.page import line_style
 from simulator.rivals import AXES, RIVALS, Contest, Rival, run_rivals, summarise, verdict, winners
 from simulator.statistics import Quartiles
 
@@ -70,8 +72,14 @@ def test_a_folder_that_cannot_be_is_one_line(tmp_path: Path) -> None:
         run_rivals(tmp_path / "file" / "out", seeds=1, workers=1, contests=[], rivals=[])
 
 
-def test_the_labels_of_the_rivals_are_told_apart() -> None:
-    assert len({rival.label for rival in RIVALS}) == len(RIVALS) <= 8
+def test_the_rivals_are_told_apart_by_their_labels_and_their_lines() -> None:
+    assert len({rival.label for rival in RIVALS}) == len(RIVALS)
+    assert len({str(line_style(k)) for k in range(len(RIVALS))}) == len(RIVALS)
+
+
+def test_the_transform_codecs_have_every_protection() -> None:
+    entered = {(rival.codec, rival.protection) for rival in RIVALS}
+    assert entered >= {(codec, protection) for codec in ("jpeg2000", "sperr") for protection in PROTECTIONS}
 
 
 def test_the_verdict_says_who_wins_where_and_how_far_the_network_is_behind() -> None:
