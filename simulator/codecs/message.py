@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from common.errors import PacketError
-from common.surface import FloatArray, IntArray
+from common.surface import BoolArray, FloatArray, IntArray
 
 Setting: TypeAlias = tuple[float, ...]
 """What a codec is told of how finely to write: its own numbers."""
@@ -53,6 +53,11 @@ def read_header(data: bytes) -> tuple[Header, bytes]:
     if not (0 < rows * columns <= MAX_NODES and np.isfinite(low) and np.isfinite(extent)):
         raise PacketError(f"a grid of {rows} x {columns} from {low:g} to {low + extent:g} cannot be")
     return Header((rows, columns), low, extent), data[HEADER.size :]
+
+
+def unbroken(data: bytes, lost: BoolArray, least: int) -> bytes:
+    """The bytes before the first lost one, at least `least`: some decoders stray less at an early end than in zeros."""
+    return data[: max(least, int(np.argmax(lost)))] if lost.any() else data
 
 
 def scaled(z: FloatArray) -> FloatArray:

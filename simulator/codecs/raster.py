@@ -1,7 +1,8 @@
 """Raster codecs: those of imagecodecs, and a plain transform codec.
 
-`encode` takes heights (rows, columns) and a setting, `decode` the bytes and which of them are known to be lost, of
-which none of these can make use. Their own headers stay where they are needed; shape and scale are in ours.
+`encode` takes heights (rows, columns) and a setting, `decode` the bytes and which of them are known to be lost. SPERR
+and the transform codec are decoded up to the first of these; the others do as well, or better, with zeros in their
+place. Their own headers stay where they are needed; shape and scale are in ours.
 """
 
 from __future__ import annotations
@@ -15,7 +16,17 @@ from scipy.fft import dctn, idctn
 
 from common.errors import PacketError
 from common.surface import BoolArray, FloatArray, IntArray
-from simulator.codecs.message import Ladders, Setting, deflate, inflate, read_header, scaled, write_header
+from simulator.codecs.message import (
+    HEADER,
+    Ladders,
+    Setting,
+    deflate,
+    inflate,
+    read_header,
+    scaled,
+    unbroken,
+    write_header,
+)
 
 FINE = 1.02
 """Ratio between the settings of a ladder."""
@@ -78,6 +89,10 @@ def decode_jpeg2000(data: bytes, lost: BoolArray) -> FloatArray:  # noqa: ARG001
     return header.heights(imagecodecs.jpeg2k_decode(stream) / 65535)
 
 
+SPERR_LEAST = 28
+"""Bytes of a stream below which the decoder crashes, but for whole ones."""
+
+
 def encode_sperr(z: FloatArray, setting: Setting) -> bytes:
     """A given rate or a given peak signal-to-noise ratio."""
     import imagecodecs
@@ -86,11 +101,11 @@ def encode_sperr(z: FloatArray, setting: Setting) -> bytes:
     return write_header(z) + bytes(imagecodecs.sperr_encode(_float32(z), setting[1], mode, header=False))
 
 
-def decode_sperr(data: bytes, lost: BoolArray) -> FloatArray:  # noqa: ARG001
-    """SPERR; it may crash on damaged bytes."""
+def decode_sperr(data: bytes, lost: BoolArray) -> FloatArray:
+    """SPERR, of what stands before the first loss; it may crash on damaged bytes."""
     import imagecodecs
 
-    header, stream = read_header(data)
+    header, stream = read_header(unbroken(data, lost, HEADER.size + SPERR_LEAST))
     return header.heights(imagecodecs.sperr_decode(stream, shape=header.shape, dtype=np.float32, header=False))
 
 
@@ -163,9 +178,9 @@ def encode_dct(z: FloatArray, setting: Setting) -> bytes:
     return write_header(z) + DCT.pack(step, count) + deflate(body)
 
 
-def decode_dct(data: bytes, lost: BoolArray) -> FloatArray:  # noqa: ARG001
-    """The inverse, of what can be inflated."""
-    header, rest = read_header(data)
+def decode_dct(data: bytes, lost: BoolArray) -> FloatArray:
+    """The inverse, of what can be inflated before the first loss."""
+    header, rest = read_header(unbroken(data, lost, HEADER.size + DCT.size))
     shape = header.shape
     if len(rest) < DCT.size:
         raise PacketError(f"the transform's step and count take {DCT.size} bytes, {len(rest)} are left")
