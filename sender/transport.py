@@ -33,6 +33,8 @@ class ChannelTransport(httpx.AsyncBaseTransport):
         What carries the requests (``httpx.AsyncHTTPTransport()``, ``httpx.ASGITransport(app)``).
     channel : Channel
         The channel in force; may be replaced at any time, for the requests that start later.
+    draws : str, optional
+        What random draws follow from in the place of the transmission's id; for a transport that sends only one.
     sleep : callable
         Waits for the seconds that the channel delays a transmission (``anyio.sleep``).
 
@@ -40,9 +42,17 @@ class ChannelTransport(httpx.AsyncBaseTransport):
     ``Surfacelink-Attempt`` is no count.
     """
 
-    def __init__(self, transport: httpx.AsyncBaseTransport, channel: Channel, *, sleep: Sleep = anyio.sleep) -> None:
+    def __init__(
+        self,
+        transport: httpx.AsyncBaseTransport,
+        channel: Channel,
+        *,
+        draws: str | None = None,
+        sleep: Sleep = anyio.sleep,
+    ) -> None:
         self.transport = transport
         self.channel = channel
+        self.draws = draws
         self.sleep = sleep
         self._references = References()
 
@@ -57,7 +67,12 @@ class ChannelTransport(httpx.AsyncBaseTransport):
         body = await request.aread()
         delivery = await to_thread.run_sync(
             lambda: carry(
-                channel, body, transmission=transmission, attempt=attempt, passed=passed, references=self._references
+                channel,
+                body,
+                transmission=self.draws or transmission,
+                attempt=attempt,
+                passed=passed,
+                references=self._references,
             ),
             abandon_on_cancel=True,
         )

@@ -204,6 +204,7 @@ class Trial(Settings):
     grid: tuple[int, int]
     seed: int
     sample: int
+    cell: str = Field(default="", description="digest of what is sent first of the rivals of its cell")
 
     @property
     def key(self) -> str:
@@ -211,13 +212,23 @@ class Trial(Settings):
         return _digest(f"{self.surface.label}\n{self.model_dump_json()}")
 
     @property
+    def transmission(self) -> str:
+        """Id of the transmission at a receiver, which takes what has one id for one cloud."""
+        return f"{self.campaign}-{self.digest}-{self.sample}"
+
+    @property
+    def draws(self) -> str:
+        """What the channel's draws follow from, beside the seed: one name for all that is sent in a cell."""
+        return f"{self.campaign}-{self.cell or self.digest}-{self.sample}"
+
+    @property
     def digest(self) -> str:
-        """Stands for the transmission: everything but the sample and the methods, which share one.
+        """Stands for the transmission: everything but the sample and the methods, which share one, and the cell.
 
         The name of a file counts, since its cloud is drawn by it: a receiver takes what has one id for one cloud.
         """
         name = "" if self.surface.file is None else f"{self.surface.label}\n"
-        return _digest(name + self.model_dump_json(exclude={"methods", "sample"}))[:10]
+        return _digest(name + self.model_dump_json(exclude={"methods", "sample", "cell"}))[:10]
 
 
 def _digest(text: str) -> str:
@@ -310,8 +321,9 @@ class Campaign(Settings):
 
     def trials(self) -> list[Trial]:
         """Every combination, in an order that does not depend on anything but the campaign."""
-        return [
-            Trial(
+
+        def trial(surface: SurfaceChoice, channel: ChannelSweep, level: float | None, sender: dict[str, Any]) -> Trial:
+            return Trial(
                 campaign=self.name,
                 surface=surface,
                 rounds=self.rounds,
@@ -319,13 +331,19 @@ class Campaign(Settings):
                 level=level,
                 grid=self.grid,
                 seed=self.seed,
-                sample=sample,
+                sample=0,
                 **sender,
             )
+
+        return [
+            rival.model_copy(update={"sample": sample, "cell": cell})
             for surface in self.surfaces
             for channel in self.channels
-            for sender in self._senders(channel)
+            for senders in [self._senders(channel)]
+            for sender in senders
             for level in channel.levels or (None,)
+            for cell in [trial(surface, channel, level, senders[0]).digest]
+            for rival in [trial(surface, channel, level, sender)]
             for sample in range(self.seeds)
         ]
 

@@ -78,9 +78,14 @@ class Link:
         """A link to the receiver that runs at `url`."""
         yield cls(url, httpx.AsyncHTTPTransport)
 
-    def client(self, channel: Channel = Channel()) -> ReceiverClient:
-        """A client of the receiver that sends through `channel`, whose delays pass in virtual time; to be entered."""
-        return ReceiverClient.connect(self._url, ChannelTransport(self.transport(), channel, sleep=_virtual))
+    def client(self, channel: Channel = Channel(), draws: str | None = None) -> ReceiverClient:
+        """A client of the receiver that sends through `channel`, whose delays pass in virtual time; to be entered.
+
+        The channel's draws follow from the id of the transmission, or from `draws`, where there is but one.
+        """
+        return ReceiverClient.connect(
+            self._url, ChannelTransport(self.transport(), channel, draws=draws, sleep=_virtual)
+        )
 
     async def send(
         self,

@@ -74,6 +74,9 @@ AXES: Mapping[str, Axis] = MappingProxyType(
 COLUMNS = ("field", "bytes", "rival", "axis", "level", "seed", "sent", "nrmse")
 """Of the table; an empty nrmse is no surface."""
 
+TRANSMISSION = "rivals"
+"""Of every rival: with a seed, the k-th datagram of each meets the same luck."""
+
 NO_SURFACE = 1.0
 """Where a median that is a failure is drawn; the mean of the heights alone scores 0.13 to 0.24."""
 
@@ -181,7 +184,7 @@ def _by_points(rival: Rival, contest: Contest, box: Sandbox) -> Run:
     grid = field(contest.field)
     choose = _extrema if rival.points == "extrema" else _lattice
     features, options = choose(rival, grid, contest.budget, contest.datagram)
-    sent = sum(map(len, encode(features, transmission="rivals", options=options)))
+    sent = sum(map(len, encode(features, transmission=TRANSMISSION, options=options)))
     known: dict[bytes, float] = {}
 
     def run(channel: Channel, seeds: Sequence[int]) -> tuple[int, Sequence[float | None]]:
@@ -204,7 +207,14 @@ def _by_codec(rival: Rival, contest: Contest, box: Sandbox) -> Run:
 
     def run(channel: Channel, seeds: Sequence[int]) -> tuple[int, Sequence[float | None]]:
         survival = expose(
-            z, message, channel, seeds, protection=rival.protection, datagram=contest.datagram, sandbox=box
+            z,
+            message,
+            channel,
+            seeds,
+            transmission=TRANSMISSION,
+            protection=rival.protection,
+            datagram=contest.datagram,
+            sandbox=box,
         )
         return survival.sent, survival.errors
 
@@ -228,7 +238,7 @@ def _lattice(rival: Rival, grid: HeightGrid, budget: int, datagram: int) -> tupl
         low, high = 1, min(grid.shape)
         while high - low > 1:
             side = (low + high) // 2
-            packets = encode(_nodes(grid, side), transmission="rivals", options=options)
+            packets = encode(_nodes(grid, side), transmission=TRANSMISSION, options=options)
             low, high = (side, high) if sum(map(len, packets)) <= budget else (low, side)
         if low >= 4:
             points = _nodes(grid, low)
@@ -253,7 +263,7 @@ def _nodes(grid: HeightGrid, side: int) -> FeatureSet:
 
 def _arrived(features: FeatureSet, options: WireOptions, channel: Channel) -> FloatArray | None:
     """The points that arrive, or None where they are no surface."""
-    arrived = direct(features, transmission="rivals", channel=channel, options=options).features
+    arrived = direct(features, transmission=TRANSMISSION, channel=channel, options=options).features
     return None if arrived is None or len(arrived) < 3 else arrived.points
 
 

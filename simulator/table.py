@@ -29,6 +29,7 @@ COLUMNS: Mapping[str, type[str] | type[int] | type[float]] = MappingProxyType(
         "seed": int,
         "sample": int,
         "transmission": str,
+        "draws": str,
         "rows": int,
         "columns": int,
         "method": str,

@@ -44,6 +44,7 @@ class OverLink:
         features: FeatureSet,
         *,
         transmission: str,
+        draws: str,
         channel: Channel,
         options: WireOptions,
         rounds: int,
@@ -54,7 +55,7 @@ class OverLink:
 
         async def send() -> Arrived:
             with tempfile.TemporaryDirectory() as folder:
-                async with self._link(Path(folder)) as link, link.client(channel) as client:
+                async with self._link(Path(folder)) as link, link.client(channel, draws) as client:
                     sent = await client.send(packets, transmission=transmission, rounds=rounds)
                     counts = sent.receipt.packets
                     arrived = Arrived(None, sent.packets, sent.bytes, counts.received, counts.damaged)

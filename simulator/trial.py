@@ -1,8 +1,8 @@
 """One trial of a campaign: a cloud is sampled, its features are sent once, every method reconstructs what arrived.
 
 All methods get the same harmed features. Every random draw follows from the trial: the cloud from (seed, surface,
-sample), so that channels are compared on the same clouds; the harm from (seed, transmission); a method's own draws
-from (seed, sample, method).
+sample), so that channels are compared on the same clouds; the harm from (seed, cell, sample), so that the k-th datagram
+of all that is sent in a cell meets the same luck; a method's own draws from (seed, sample, method).
 """
 
 from __future__ import annotations
@@ -72,31 +72,39 @@ class Transport(Protocol):
         features: FeatureSet,
         *,
         transmission: str,
+        draws: str,
         channel: Channel,
         options: WireOptions,
         rounds: int,
         shape: tuple[int, int],
     ) -> Arrived:
-        """Send `features` up to `rounds` times; `shape` (rows, columns) is that of the grid to compare on."""
+        """Send `features` up to `rounds` times; `shape` (rows, columns) is that of the grid to compare on.
+
+        The channel's draws follow from the name `draws`.
+        """
 
 
 def direct(
     features: FeatureSet,
     *,
     transmission: str,
+    draws: str | None = None,
     channel: Channel,
     options: WireOptions,
     rounds: int = 1,
     shape: tuple[int, int] | None = None,  # noqa: ARG001 - a transport; who is handed the features trains the network
 ) -> Arrived:
-    """Encoder, channel and decoder in this process, in virtual time; a transport that has no grid to give."""
+    """Encoder, channel and decoder in this process, in virtual time; a transport that has no grid to give.
+
+    The channel's draws follow from the transmission unless `draws` is given.
+    """
     packets = encode(features, transmission=transmission, options=options)
     reassembly = Reassembly(transmission)
     sent = sent_bytes = damaged = 0
     outgoing = packets
     reference = None
     for attempt in range(rounds):
-        delivery = channel.transmit(outgoing, transmission=transmission, attempt=attempt, reference=reference)
+        delivery = channel.transmit(outgoing, transmission=draws or transmission, attempt=attempt, reference=reference)
         reference = delivery.reference
         sent, sent_bytes = sent + len(outgoing), sent_bytes + sum(map(len, outgoing))
         decoder = PacketDecoder()
@@ -210,12 +218,9 @@ def _truth(choice: SurfaceChoice, shape: tuple[int, int]) -> HeightGrid:
     return source_of(choice).truth(shape)
 
 
-def _number(*parts: object) -> int:
-    return int.from_bytes(hashlib.blake2b(repr(parts).encode(), digest_size=8).digest(), "little")
-
-
 def _generator(*parts: object) -> np.random.Generator:
-    return np.random.default_rng(_number(*parts))
+    digest = hashlib.blake2b(repr(parts).encode(), digest_size=8).digest()
+    return np.random.default_rng(int.from_bytes(digest, "little"))
 
 
 def run_trial(trial: Trial, *, transport: Transport = direct, clock: Callable[[], float] = time.perf_counter) -> Result:
@@ -243,7 +248,6 @@ def run_trial(trial: Trial, *, transport: Transport = direct, clock: Callable[[]
     truth = _truth(trial.surface, trial.grid)
     extent = float(np.ptp(truth.z))
     noise = source_of(trial.surface).noise
-    transmission = f"{trial.campaign}-{trial.digest}-{trial.sample}"
     channel = Channel.parse(trial.channel.at(trial.level or 0.0, extent=extent, noise=noise), seed=trial.seed)
     common: dict[str, Cell] = dict.fromkeys(COLUMNS) | {
         "campaign": trial.campaign,
@@ -255,7 +259,8 @@ def run_trial(trial: Trial, *, transport: Transport = direct, clock: Callable[[]
         "channel": str(channel),
         "seed": trial.seed,
         "sample": trial.sample,
-        "transmission": transmission,
+        "transmission": trial.transmission,
+        "draws": trial.draws,
         "rows": trial.grid[0],
         "columns": trial.grid[1],
         "z_range": extent,
@@ -280,7 +285,8 @@ def _codec_row(trial: Trial, settings: CodecSettings, truth: HeightGrid, channel
         truth.z,
         message,
         channel,
-        [_number(trial.seed, trial.digest, trial.sample)],
+        [channel.seed],
+        transmission=trial.draws,
         protection=settings.protection,
         datagram=settings.datagram,
     )
@@ -327,7 +333,8 @@ def _reconstructions(
     sent = _features(trial.surface, trial.features, trial.wire, trial.seed, 0 if everything else trial.sample)
     arrived = transport(
         sent,
-        transmission=str(common["transmission"]),
+        transmission=trial.transmission,
+        draws=trial.draws,
         channel=channel,
         options=trial.wire,
         rounds=trial.rounds,

@@ -144,6 +144,7 @@ class Channel:
         transmission: str,
         attempt: int = 0,
         passed: int = 0,
+        numbered: bool = False,
         reference: Reference | None = None,
     ) -> Delivery:
         """Send datagrams through the channel; never raises, whatever bytes they are.
@@ -158,11 +159,13 @@ class Channel:
             0 for the first sending, another number for each later one: packets sent again meet fresh luck.
         passed : int
             Channels that were on the way before this one: one with the same seed draws apart from them.
+        numbered : bool
+            Whether what is no packet meets the luck of the packet of its number, instead of one of its own.
         reference : Reference, optional
             What relative strengths refer to. Without it, the points in `packets`; give it where a transmission is
             sent in several parts, or sent again in part: the `Delivery` of the first call has it.
         """
-        flight = launch(packets)
+        flight = launch(packets, numbered=numbered)
         launched = tuple(flight)
 
         def scale() -> Reference:

@@ -74,16 +74,17 @@ class Datagram:
         return replace(self, at=self.at + seconds)
 
 
-def launch(packets: Sequence[bytes]) -> list[Datagram]:
+def launch(packets: Sequence[bytes], *, numbered: bool = False) -> list[Datagram]:
     """The datagrams of one call, in the order given.
 
-    What tells them apart depends on their contents alone, so that the order of arrival changes nothing.
+    What tells them apart depends on their contents alone, so that the order of arrival changes nothing. Where the
+    transport has `numbered` them, one that is no packet stands for the packet of its position.
     """
     effort = Effort()
     batches = (packets[start : start + BATCH] for start in range(0, len(packets), BATCH))
     decoded = [packet for batch in batches for packet in _decode(batch, effort)]
     numbers = [index if packet is None else packet.number for index, packet in enumerate(decoded)]
-    repeats = [NOT_A_PACKET if packet is None else 0 for packet in decoded]
+    repeats = [NOT_A_PACKET if packet is None and not numbered else 0 for packet in decoded]
     sent: Counter[int] = Counter()
     for index in sorted(range(len(packets)), key=lambda i: (numbers[i], packets[i])):
         if decoded[index] is not None:

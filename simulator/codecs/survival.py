@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.channel import Channel, PointImpairment
+from common.channel.impairments.erasure import Erasure
 from common.errors import ChannelError
 from common.metrics import nrmse
 from common.surface import BoolArray, FloatArray
@@ -72,7 +73,7 @@ def received(
 ) -> tuple[bytes, BoolArray]:
     """(bytes as long as `data`, which of them are lost) at the other end of a channel; lost bytes are zeros."""
     packets = [data[start : start + datagram] for start in range(0, len(data), datagram)]
-    delivery = channel.transmit(packets, transmission=transmission)
+    delivery = channel.transmit(packets, transmission=transmission, numbered=True)
     gone = {fault.packet for fault in delivery.faults if fault.kind in ("erasure", "gilbert_elliott")}
     arrived = iter(delivery.packets)
     out, lost = bytearray(), np.ones(len(data), dtype=np.bool_)
@@ -89,6 +90,7 @@ def expose(
     channel: Channel,
     seeds: Sequence[int],
     *,
+    transmission: str = "",
     protection: str = "none",
     datagram: int = DEFAULT_DATAGRAM,
     sandbox: Sandbox | None = None,
@@ -104,6 +106,8 @@ def expose(
         Its own seed is not used.
     seeds : sequence of int
         Seeds of the channel; at least one.
+    transmission : str
+        What draws follow from beside the seed; one for all that is to meet the same luck.
     protection : str
         Key of `PROTECTIONS`.
     datagram : int
@@ -120,7 +124,7 @@ def expose(
     code = find_protection(protection)
     link = _for_streams(channel)
     stream = code.encode(message.data)
-    calls = [_arrival(stream, code, Channel(link.impairments, seed), message, datagram) for seed in seeds]
+    calls = [_arrival(stream, code, Channel(link.impairments, seed), message, transmission, datagram) for seed in seeds]
     errors: list[float | None] = []
     failures: Counter[str] = Counter()
     with Sandbox() if sandbox is None else nullcontext(sandbox) as box:
@@ -133,21 +137,31 @@ def expose(
                 errors.append(None)
             else:
                 errors.append(nrmse(field, heights))
-    return Survival(message, protection, str(link), len(stream), tuple(errors), dict(sorted(failures.items())))
+    return Survival(
+        message,
+        protection,
+        str(Channel(channel.impairments)),
+        len(stream),
+        tuple(errors),
+        dict(sorted(failures.items())),
+    )
 
 
 def _arrival(
-    stream: bytes, code: Protection, channel: Channel, message: Message, datagram: int
+    stream: bytes, code: Protection, channel: Channel, message: Message, transmission: str, datagram: int
 ) -> tuple[str, bytes, BoolArray]:
     """Arguments of `decode` for one seed."""
-    data, lost = received(stream, channel, transmission=message.codec, datagram=datagram)
+    data, lost = received(stream, channel, transmission=transmission, datagram=datagram)
     body, gone = code.decode(data, lost, stream)
     return message.codec, body, gone
 
 
 def _for_streams(channel: Channel) -> Channel:
-    """The channel, unseeded, as a numbered stream of datagrams meets it; raises ChannelError where it moves points."""
+    """The channel, unseeded, as a numbered stream of datagrams meets it; raises ChannelError where it moves points.
+
+    What is undone leaves a place that does nothing: draws follow from an impairment's position, too.
+    """
     for impairment in channel.impairments:
         if isinstance(impairment, PointImpairment):
             raise ChannelError(f"{impairment.kind} moves points; a raster codec sends none")
-    return Channel([part for part in channel.impairments if part.kind not in TRANSPORT])
+    return Channel([Erasure(p=0) if part.kind in TRANSPORT else part for part in channel.impairments])

@@ -55,6 +55,17 @@ async def test_the_server_gets_what_the_channel_delivers(packets: list[bytes]) -
 
 
 @pytest.mark.anyio
+async def test_a_name_for_the_draws_goes_before_the_id(packets: list[bytes]) -> None:
+    recorder, channel = Recorder(), Channel.parse(SPEC, seed=3)
+    transport = ChannelTransport(httpx.MockTransport(recorder.answer), channel, draws="valleys", sleep=recorder.sleep)
+    async with httpx.AsyncClient(transport=transport) as client:
+        await client.post(URL, content=b"".join(packets))
+    (request,) = recorder.requests
+    assert request.url.path == "/v1/transmissions/hills"
+    assert request.content == channel.transmit(packets, transmission="valleys").body
+
+
+@pytest.mark.anyio
 async def test_the_faults_of_an_inner_channel_are_added(packets: list[bytes]) -> None:
     recorder = Recorder()
     recorder.headers = {"Surfacelink-Faults": "gaussian=6, erasure=2"}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 import sys
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from common.channel import Channel, Delivery
 from common.errors import MissingExtraError, ParameterError, PointsError
 from common.surface import Region
 from common.wire import WireOptions, encode
@@ -292,6 +294,41 @@ def test_the_transmissions_of_named_surfaces_are_those_of_the_published_campaign
     # Their harm is drawn by these ids.
     (trial,) = Campaign.build({"name": "small", "surfaces": ["surface-1"], "channels": ["clean"], "seeds": 1}).trials()
     assert trial.digest == "b0dda5b141"
+    assert trial.draws == trial.transmission == "small-b0dda5b141-0"
+
+
+def test_rivals_of_a_cell_lose_the_same_datagrams(monkeypatch: pytest.MonkeyPatch) -> None:
+    lost: list[list[bool]] = []
+    transmit = Channel.transmit
+
+    def watched(self: Channel, packets: Sequence[bytes], **named: Any) -> Delivery:
+        delivery = transmit(self, packets, **named)
+        gone = {fault.packet for fault in delivery.faults if fault.kind == "erasure"}
+        lost.append([number in gone for number in range(len(packets))])
+        return delivery
+
+    monkeypatch.setattr(Channel, "transmit", watched)
+    sent = {"budget": 600, "datagram": 64}
+    plan = campaign(
+        surfaces=[{"field": "peaks"}],
+        features=[{"pieces": 12}, {"kind": "lattice", "pieces": 24}],
+        wire=[{"datagram": 64}, {"datagram": 64, "precision": "float64"}],
+        methods=["nearest"],
+        codecs=[sent | {"codec": "scattered_samples"}, sent | {"codec": "dct", "protection": "rs127"}],
+        channels=[{"spec": "reordering:p=1;erasure:p={level}", "levels": [0.3, 0.5]}],
+    )
+    rows = rows_of(plan)
+    assert len({row["transmission"] for row in rows}) == len(rows) == len(lost) == 6 * 2 * 2
+    cells: dict[Cell, list[list[bool]]] = {}
+    for row, its in zip(rows, lost, strict=True):
+        cells.setdefault(row["draws"], []).append(its)
+    assert [len(cell) for cell in cells.values()] == [6] * 4
+    for cell in cells.values():
+        least = min(map(len, cell))
+        assert least >= 5
+        assert all(its[:least] == cell[0][:least] for its in cell)
+    assert len({str(cell[0]) for cell in cells.values()}) == 4
+    assert rows[0]["draws"] == rows[0]["transmission"]  # more that is sent changes nothing for the first
 
 
 def test_a_file_that_is_no_surface_says_so(tmp_path: Path) -> None:

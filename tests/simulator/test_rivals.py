@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from common.channel import Channel, Delivery
 from common.errors import ParameterError
 from sender.surfaces import find_surface
 from simulator import rivals
@@ -50,6 +53,25 @@ def test_every_rival_keeps_to_the_bytes_and_the_files_say_what_was_measured(tmp_
     for rival in ("features, network", "lattice, network", "scattered"):
         lossy = [row["nrmse"] for row in rows if (row["rival"], row["axis"], row["level"]) == (rival, "loss", 0.4)]
         assert len(set(lossy)) == 3
+
+
+@pytest.mark.usefixtures("small")
+def test_rivals_lose_the_same_datagrams(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lost: list[set[int]] = []
+    transmit = Channel.transmit
+
+    def watched(self: Channel, packets: Sequence[bytes], **named: Any) -> Delivery:
+        delivery = transmit(self, packets, **named)
+        if str(self).startswith("erasure:p=0.4"):
+            lost.append({fault.packet for fault in delivery.faults if fault.packet < 5})
+        return delivery
+
+    monkeypatch.setattr(Channel, "transmit", watched)
+    entered = [RIVALS[2], FEW[3], Rival("dct", codec="dct"), Rival("safe", codec="dct", protection="rs223")]
+    run_rivals(tmp_path, seeds=3, workers=1, contests=[CONTEST], rivals=entered)
+    assert len(lost) == 3 * len(entered)
+    assert lost == lost[:3] * len(entered)
+    assert lost[0] != lost[1]
 
 
 def test_the_winner_has_the_least_median_and_failures_never_win() -> None:

@@ -26,7 +26,7 @@ PLAN = Campaign.build(
         "name": "ways",
         "surfaces": ["surface-1"],
         "channels": ["gaussian:std=0.05,axes=z;erasure:p=0.3", "bit_errors:ber=0.0005"],
-        "wire": [{"min_packets": 8}],
+        "wire": [{"min_packets": 8}, {"min_packets": 8, "precision": "float64"}],
         "methods": ["network", "network[spread=0.3]", "cubic", "network@cloud"],
         "rounds": 2,
         "seeds": 1,
