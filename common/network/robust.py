@@ -7,7 +7,8 @@ network without them knows the others far better. In the end the two readings ar
 points belong to the surface, or the suspects are drawn from anywhere within twice the range of the values. So a peak,
 which is far off but well explained, stays. Wrong points know nothing of each other: where more neighbours of a suspect
 are far off on the same side than chance allows, they are an island, or the edge of a cliff, and none of them is wrong.
-Where many points may be wrong `common.network.contamination` is asked first.
+Where many points all lie on plains with clean edges between them none is asked for. Where many points may be wrong
+`common.network.contamination` is asked first.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from scipy.special import bdtrc
 
@@ -24,7 +27,7 @@ from common.network import contamination, evaluation
 from common.network.contamination import MOST, NORMAL_MEDIAN, NORMAL_UPPER
 from common.network.dense import Dense
 from common.network.partition import Partition
-from common.network.search import neighbourhoods
+from common.network.search import CLIMBED, neighbourhoods
 from common.network.selection import NOISY, Fit, Samples
 from common.surface import BoolArray, FloatArray, IntArray
 
@@ -91,6 +94,9 @@ def set_aside(samples: Samples, fit: Fit, refit: Callable[[Samples, bool], Fit])
     if n < FEWEST:
         return whole
     near = _near(tree_of(samples.X), np.arange(n))
+    # Fewer points do not tell an edge from wrong points beside it so well, and their fits cost little.
+    if n > CLIMBED and _flat(samples.y, near):
+        return whole
     many = _many(samples, fit, refit, near) if contamination.suspected(fit) else None
     if many is not None and many.noisy:
         many = _with_returned(many, samples, refit)
@@ -246,6 +252,18 @@ def _far_off(y: FloatArray, near: IntArray, deviations: float = SUSPECT) -> Bool
             suspect[suspect] = ~_together((column - middle)[suspect], (around - middle[:, None])[suspect], share)
         found |= suspect
     return found
+
+
+def _flat(y: FloatArray, near: IntArray) -> bool:
+    """Whether the values (n, k) are those of plains; `near` (n, 1 + m), the points themselves first.
+
+    Points are of one plain where one is near the other and has its value; a few wrong ones of one height are none. No
+    network tells a clean edge from wrong points without many fits: far from it the others are told exactly.
+    """
+    n = len(near)
+    rows, columns = np.nonzero(np.all(np.abs(y[near[:, 1:]] - y[near[:, :1]]) <= contamination.ROUNDING, axis=2))
+    links = coo_array((np.ones(len(rows)), (rows, near[rows, 1 + columns])), shape=(n, n))
+    return bool(np.bincount(connected_components(links, directed=False)[1]).min() > NEIGHBOURS)
 
 
 def _together(away: FloatArray, around: FloatArray, share: float) -> BoolArray:

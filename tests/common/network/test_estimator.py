@@ -182,6 +182,44 @@ def test_heavy_tails_do_not_cost_a_fit_for_each_suspect(monkeypatch: pytest.Monk
     assert len(looks) < 20
 
 
+@pytest.mark.parametrize(
+    "edge",
+    [
+        lambda X: X[:, 0] > 0.5,
+        lambda X: X.sum(axis=1) > 1,
+        lambda X: np.sum((X - 0.5) ** 2, axis=1) < 0.09,
+        lambda X: np.floor(3 * X).sum(axis=1),
+    ],
+    ids=["step", "diagonal", "disc", "terraces"],
+)
+@pytest.mark.parametrize("n", [700, 1000])
+def test_clean_edges_cost_one_fit(
+    edge: Callable[[FloatArray], FloatArray], n: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    X = np.random.default_rng(0).random((n, 2))
+    select, fits = fitting_module._select, []
+
+    def counted(*args: Any, **kwargs: Any) -> Any:
+        fits.append(1)
+        return select(*args, **kwargs)
+
+    monkeypatch.setattr(fitting_module, "_select", counted)
+    network = RBFNetwork().fit(X, edge(X).astype(np.float64))
+    assert len(fits) == 1
+    assert len(network.outliers_) == 0
+
+
+@pytest.mark.parametrize("wrong", [[0.2, 0.2], [0.2, 0.2, 0.2]], ids=["two", "three"])
+def test_wrong_points_of_one_height_are_no_plain(wrong: list[float]) -> None:
+    X = np.random.default_rng(0).random((300, 2))
+    y = np.where(X[:, 0] > 0.5, 1.0, 0.0)
+    rows = np.argsort(np.sum((X - [0.25, 0.5]) ** 2, axis=1))[: len(wrong)]
+    near = robust._near(robust.tree_of(X), np.arange(300))
+    assert robust._flat(y[:, None], near)
+    y[rows] = wrong
+    assert not robust._flat(y[:, None], near)
+
+
 def test_noise_of_the_positions_costs_less_than_ignoring_it(monkeypatch: pytest.MonkeyPatch) -> None:
     errors = []
     for blind in (False, True):
