@@ -20,6 +20,7 @@ from common.network.selection import (
     BEHIND,
     CLEAN,
     MANY_WORSE,
+    NOISY,
     ROUGHNESS,
     TINY,
     WORSE,
@@ -65,6 +66,12 @@ AFFORDED = 1000
 
 FAR_BEHIND = 24.0
 """Score by which a family may lie behind where many more points are to come than those that ranked it."""
+
+DROWNED = 0.3
+"""Smoothing from which on the few that rank the candidates see hardly anything but noise."""
+
+FEWER = 2
+"""Neighbourhoods that are asked then."""
 
 ROUND = 4
 """Candidates below which a search is not begun."""
@@ -123,10 +130,17 @@ def fit(
     endless = [kind for kind in kinds if kind.reach == np.inf]
     ranked = average(few, endless, spreads, smoothings, lambda share: tick(0.2 * share)).scored
     starts = _starts(ranked, BEHIND)
+    fine = False
+    if ranked.best.smoothing >= DROWNED and free.smoothing:
+        # What is finer than the few are dense passes for noise among them, but not among points next to each other.
+        close = samples.take(neighbourhoods(KDTree(samples.X), RANKED, FEWER))
+        finer = average(close, endless, spreads, smoothings, lambda _share: None).scored
+        fine = finer.best.smoothing < NOISY
+        starts += _starts(finer, BEHIND) if fine else []
     smoothest = max((kind.parameter for kind in kinds if kind.family == "ladder"), default=ROUGHNESS[-1])
     ladder = next((start for start in _starts(ranked, np.inf) if start.kind.family == "ladder"), None)
     if n > CLIMBED and not quick:
-        anywhere = _is_smooth(starts[0], mean_spacing(few.X))
+        anywhere = _is_smooth(starts[0], mean_spacing(few.X)) and not fine
         near = samples.take(np.sort(order[:CLIMBED]) if anywhere else neighbourhoods(KDTree(samples.X)))
         search = _Search(near, spreads, smoothest, TRIALS, lambda share: tick(0.2 + 0.2 * share))
         found = search.climb(starts, free, ladder)
@@ -146,14 +160,14 @@ def fit(
     return search.climb(starts, free, ladder)
 
 
-def neighbourhoods(tree: KDTree) -> IntArray:
-    """`CLIMBED` rows of the tree's n points: the neighbourhoods of a few points, always the same."""
-    order, size = np.random.default_rng(0).permutation(tree.n), CLIMBED // NEIGHBOURHOODS
-    rows = tree.query(tree.data[order[:NEIGHBOURHOODS]], k=size)[1]
+def neighbourhoods(tree: KDTree, many: int = CLIMBED, about: int = NEIGHBOURHOODS) -> IntArray:
+    """So many rows of the tree's n points: the neighbourhoods of a few points, always the same."""
+    order, size = np.random.default_rng(0).permutation(tree.n), many // about
+    rows = tree.query(tree.data[order[:about]], k=size)[1]
     found = np.unique(rows)
     # Where neighbourhoods overlap the points that are missing come from anywhere.
     rest = order[~np.isin(order, found)]
-    return np.sort(np.concatenate([found, rest[: CLIMBED - len(found)]]))
+    return np.sort(np.concatenate([found, rest[: many - len(found)]]))
 
 
 class _Search:

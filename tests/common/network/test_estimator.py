@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import RectBivariateSpline
 from sklearn.base import clone
 from sklearn.utils.estimator_checks import check_estimator
 
@@ -111,6 +112,19 @@ def test_a_surface_stays_near_its_values_where_points_are_few_beyond_a_cliff() -
             X = np.vstack([X, tried[rng.random(1600) < np.exp(-6 * tried[:, 0])]])[:400]
         network = RBFNetwork().fit(X, np.tanh(80 * (X[:, 0] - 0.5 - 0.08 * np.sin(8 * X[:, 1]))))
         assert np.abs(network.predict(rng.random((2000, 2)))).max() < 3
+
+
+@pytest.mark.parametrize("side", [20, 40])
+def test_waves_of_three_points_on_a_lattice_are_no_noise(side: int) -> None:
+    def waves(X: FloatArray) -> FloatArray:
+        turns = 2 * np.pi * (side - 1) / 3
+        return np.asarray(np.sin(turns * X[:, 0] + 0.3) * np.cos(0.9 * turns * X[:, 1]))
+
+    axis = np.linspace(0, 1, side)
+    X, Q = np.array(np.meshgrid(axis, axis)).reshape(2, -1).T, np.random.default_rng(0).random((1000, 2))
+    spline = RectBivariateSpline(axis, axis, waves(X).reshape(side, side).T)
+    theirs = np.mean((spline.ev(*Q.T) - waves(Q)) ** 2)
+    assert np.mean((RBFNetwork().fit(X, waves(X)).predict(Q) - waves(Q)) ** 2) < theirs / 4
 
 
 def test_noise_is_smoothed_whatever_the_number_of_points() -> None:
