@@ -136,7 +136,8 @@ def fit(
         close = samples.take(neighbourhoods(KDTree(samples.X), RANKED, FEWER))
         finer = average(close, endless, spreads, smoothings, lambda _share: None).scored
         fine = finer.best.smoothing < NOISY
-        starts += _starts(finer, BEHIND) if fine else []
+        if fine:
+            starts = [*_starts(finer, BEHIND), *starts]
     smoothest = max((kind.parameter for kind in kinds if kind.family == "ladder"), default=ROUGHNESS[-1])
     ladder = next((start for start in _starts(ranked, np.inf) if start.kind.family == "ladder"), None)
     if n > CLIMBED and not quick:
