@@ -255,9 +255,12 @@ class Partition:
             anywhere = frame.low + frame.side * frame.extent * np.random.default_rng(0).random((PROBES, 2))
             heights = made.predict(anywhere)
             if len(loud) or strays(heights, values):
-                between = KDTree(X).query(anywhere)[0] < NEARBY * frame.side * float(np.median(spacings))
-                calm = np.setdiff1d(among, loud)
-                kernel, level = made._tempered(loud, calm, values, exploded=strays(heights[between], values, BEYOND))
+                exploded = strays(heights, values, BEYOND)
+                if exploded:
+                    nearest = KDTree(X, balanced_tree=False, compact_nodes=False).query(anywhere)[0]
+                    between = nearest < NEARBY * frame.side * float(np.median(spacings))
+                    exploded = strays(heights[between], values, BEYOND)
+                kernel, level = made._tempered(loud, np.setdiff1d(among, loud), values, exploded=exploded)
                 if kernel is not made.kernel:
                     made.kernel, made.smoothing = kernel, np.full(patches, level)
                     made._solve(values, told)
