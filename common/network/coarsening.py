@@ -28,7 +28,8 @@ from common.network.cover import CELL_POINTS
 from common.network.dense import Dense
 from common.network.expansion import Expansion
 from common.network.kernel import Kernel
-from common.network.partition import FIT_MARGIN, Partition
+from common.network.partition import Partition
+from common.network.patches import FIT_MARGIN
 from common.network.selection import TINY, Samples, rounding_floor
 from common.network.threads import parallel
 from common.surface import BoolArray, FloatArray, IntArray

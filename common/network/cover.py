@@ -22,6 +22,12 @@ CELL_POINTS = 36
 SPLIT = 65
 """Points of a cell that is not split yet: nearly five deviations above the mean, so even density splits none."""
 
+GROUP = 2048
+"""Patches whose points are looked up together."""
+
+NINE: FloatArray = np.array([(i, j) for i in (0.0, 0.5, 1.0) for j in (0.0, 0.5, 1.0)])
+"""Places of a square, in its sides."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
@@ -180,10 +186,10 @@ class Cover:
             inside &= (at >= low[position, axis]) & (at <= high[position, axis])
         return position[inside], row[inside]
 
-    def groups(self, patches: int) -> Iterator[IntArray]:
-        """All patches, so many at a time."""
-        for start in range(0, len(self), patches):
-            yield np.arange(start, min(len(self), start + patches))
+    def groups(self) -> Iterator[IntArray]:
+        """All patches, `GROUP` at a time."""
+        for start in range(0, len(self), GROUP):
+            yield np.arange(start, min(len(self), start + GROUP))
 
 
 def ragged(first: IntArray, counts: IntArray) -> IntArray:

@@ -15,56 +15,28 @@ are, so every place is covered.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal, Self, TypeAlias
+from typing import Any, Literal, Self
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from common.errors import TrainingError
 from common.network import calibration, local
+from common.network.blending import BLEND_MARGIN, Blend
 from common.network.calibration import Across, Calibration
-from common.network.cover import Cover, Frame, frame_for, ragged, step
+from common.network.cover import NINE, Cover, Frame, frame_for, ragged
 from common.network.dense import Dense
 from common.network.kernel import Kernel
-from common.network.local import CACHED, FAR, Levels
+from common.network.local import FAR, Levels
+from common.network.patches import Tick, points_of
 from common.network.quadtree import DEEPEST, Quadtree
 from common.network.selection import CLEAN, MANY_WORSE, TINY, Kind, Samples, Spectra, believed, rounding_floor
-from common.network.threads import in_order, parallel
+from common.network.threads import parallel
 from common.surface import BoolArray, FloatArray, IntArray
-
-Tick: TypeAlias = Callable[[str, float], None]
-
-FIT_MARGIN = 0.3
-"""How far the points of a patch reach beyond its cell, in sides of the cell; at most as far as the touching cells."""
-
-RIM_MARGIN = 0.5
-"""How far they reach away from the rim of the data, where there is nothing on the other side."""
-
-BLEND_MARGIN = 0.15
-"""How far the weight of a patch reaches: less than its points, so that no patch is asked at its rim."""
-
-FEWEST = 3
-"""Points in a quarter of a patch below which it borrows."""
-
-BORROWED = 12
-"""Points borrowed at each of nine places of a patch."""
 
 BATCH = 64
 """Patches factorised together."""
-
-GROUP = 2048
-"""Patches whose points are looked up together."""
-
-GRID_CACHED = 1 << 16
-"""Gaussians of one level along one axis of the rectangles of a grid that are evaluated at once."""
-
-TILE = 128
-"""Most rows and columns of a grid that a patch evaluates at once."""
-
-QUERIES = 256
-"""Most scattered positions that a patch evaluates at once."""
 
 ROUNDS = ((5, 8), (8, 3))
 """Patches that have been asked after each round, and the kernels that more patches choose from."""
@@ -134,9 +106,6 @@ LONE = 4
 
 LEAST = 1e-9
 """Smoothing that is tried first, tenfold, where a patch in a gap leaves the range of the values."""
-
-_NINE = np.array([(i, j) for i in (0.0, 0.5, 1.0) for j in (0.0, 0.5, 1.0)])
-"""Places of a square, in its sides."""
 
 
 @dataclass(slots=True, eq=False)
@@ -238,7 +207,7 @@ class Partition:
             codes, share = codes[first], total
         cover = Cover.over(frame, codes)
         runs = cover.runs(codes)
-        starts, members, spacings = _patches(cover, u, runs, told)
+        starts, members, spacings = points_of(cover, u, runs, told)
         if spread != "auto":
             spacings[:] = spread / frame.side
         patches = len(cover)
@@ -303,6 +272,10 @@ class Partition:
 
     def __len__(self) -> int:
         return len(self.cover)
+
+    @property
+    def _blend(self) -> Blend:
+        return Blend(self.cover, self.spacings, np.diff(self.starts))
 
     def _batch(self, patches: IntArray) -> tuple[FloatArray, IntArray, BoolArray]:
         """Centres (p, k, 2) in mean spacings about the patch's middle, their rows (p, k), and which are not padding."""
@@ -489,7 +462,7 @@ class Partition:
         """Which of the patches leave the range of the values at one of nine places, shape (p,)."""
         points, slots, _ = self._batch(patches)
         reach = (1 + 2 * BLEND_MARGIN) * self.cover.sides[patches] / self.spacings[patches]
-        places = (_NINE - 0.5) * reach[:, None, None]
+        places = (NINE - 0.5) * reach[:, None, None]
         heights = Levels(self.kernel).matrix(places, points) @ self._coefficients_at(slots) + self.bias[patches, None]
         return np.array([strays(each, values, BEYOND) for each in heights])
 
@@ -562,19 +535,15 @@ class Partition:
 
         Beyond the data's box the nearest patches go on.
         """
-        outputs = self.coefficients.shape[1]
-        columns, rows = np.argsort(x, kind="stable"), np.argsort(y, kind="stable")
-        axes = self._axis(x[columns], 0), self._axis(y[rows], 1)
-        total, weight = np.zeros((outputs, len(y) * len(x))), np.zeros(len(y) * len(x))
         levels = Levels(self.kernel)
-        for nodes, values, w in in_order(lambda piece: self._rectangles(*piece, axes, levels), self._pieces(axes)):
-            np.add.at(weight, nodes.ravel(), w.ravel())
-            for output in range(outputs):
-                np.add.at(total[output], nodes.ravel(), values[output].ravel())
-        total /= weight
-        grid = np.empty((len(y), len(x), outputs))
-        grid[np.ix_(rows, columns)] = np.moveaxis(total.reshape(outputs, len(y), len(x)), 0, 2)
-        return grid
+
+        def values(patches: IntArray, across: FloatArray, up: FloatArray) -> FloatArray:
+            points, slots, _ = self._batch(patches)
+            found = local.rectangles(points, across, up, self._coefficients_at(slots), levels)
+            found += self.bias[patches].T[:, :, None, None]
+            return found
+
+        return self._blend.grid(x, y, self.coefficients.shape[1], values)
 
     def predict(self, X: FloatArray) -> FloatArray:
         """Values at X (m, 2), shape (m, k)."""
@@ -585,7 +554,7 @@ class Partition:
             matrix = levels.matrix(places, points)
             return np.asarray(matrix @ self._coefficients_at(slots) + self.bias[patches, None])
 
-        blended, _ = self._blended(X, self.coefficients.shape[1], values)
+        blended, _ = self._blend.scattered(X, self.coefficients.shape[1], values)
         return blended
 
     def predict_std(self, X: FloatArray) -> FloatArray:
@@ -604,7 +573,7 @@ class Partition:
             told = self.calibration.variance(np.maximum(variance, 0.0), growth, surface, smoothing)
             return np.asarray(np.sqrt(told))
 
-        blended, _ = self._blended(X, self.amplitude.shape[1], deviations)
+        blended, _ = self._blend.scattered(X, self.amplitude.shape[1], deviations)
         return blended
 
     def predict_gradient(self, X: FloatArray) -> FloatArray:
@@ -621,129 +590,9 @@ class Partition:
                 parts.append((slope * away) @ c / self.spacings[patches, None, None])
             return np.concatenate(parts, axis=2)
 
-        blended, lean = self._blended(X, 3 * outputs, slopes)
+        blended, lean = self._blend.scattered(X, 3 * outputs, slopes)
         inner = blended[:, outputs:].reshape(-1, 2, outputs).transpose(0, 2, 1)
         return np.asarray((inner + lean[:, :outputs]) / self.cover.frame.side)
-
-    def _axis(self, axis: FloatArray, which: int) -> tuple[FloatArray, FloatArray]:
-        """Coordinates of a grid's columns or rows in cells, and the nearest inside the data's box."""
-        frame = self.cover.frame
-        u = (axis - frame.low[which]) / frame.side + frame.start[which]
-        return u, np.clip(u, frame.start[which], frame.start[which] + frame.extent[which])
-
-    def _pieces(self, axes: tuple[tuple[FloatArray, FloatArray], ...]) -> list[tuple[IntArray, IntArray]]:
-        """Batches of patches and the grid rectangles (left, right, bottom, top) they are to evaluate."""
-        reach = self.cover.sides * (0.5 + BLEND_MARGIN)
-        bounds = []
-        for (_, clipped), centre in zip(axes, self.cover.centres.T, strict=True):
-            bounds.append(np.searchsorted(clipped, centre - reach, side="left"))
-            bounds.append(np.searchsorted(clipped, centre + reach, side="right"))
-        box = np.stack(bounds, axis=1)
-        across, along = -(-(box[:, 1] - box[:, 0]) // TILE), -(-(box[:, 3] - box[:, 2]) // TILE)
-        patches = np.repeat(np.arange(len(self)), across * along)
-        part = ragged(np.zeros(len(self), dtype=np.int64), across * along)
-        left = box[patches, 0] + TILE * (part % np.maximum(across[patches], 1))
-        bottom = box[patches, 2] + TILE * (part // np.maximum(across[patches], 1))
-        right, top = np.minimum(left + TILE, box[patches, 1]), np.minimum(bottom + TILE, box[patches, 3])
-        counts = np.diff(self.starts)[patches]
-        order = np.lexsort((counts, top - bottom, right - left))
-        boxes = np.stack([left, right, bottom, top], axis=1)[order]
-        patches, counts = patches[order], counts[order]
-        size = np.maximum(boxes[:, 1] - boxes[:, 0], boxes[:, 3] - boxes[:, 2]) * counts
-        return [(patches[part], boxes[part]) for part in _runs(size, GRID_CACHED)]
-
-    def _rectangles(
-        self,
-        patches: IntArray,
-        boxes: IntArray,
-        axes: tuple[tuple[FloatArray, FloatArray], ...],
-        levels: Levels,
-    ) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Nodes, weighted values (k, ...) and weights of a batch of grid rectangles, (p, rows, columns)."""
-        points, slots, _ = self._batch(patches)
-        away, weights, nodes = [], [], []
-        for axis, (u, clipped) in enumerate(axes):
-            first, last = boxes[:, 2 * axis], boxes[:, 2 * axis + 1]
-            at = first[:, None] + np.arange(int((last - first).max()))
-            inside = at < last[:, None]
-            at = np.where(inside, at, first[:, None])
-            centre = self.cover.centres[patches, axis, None]
-            nodes.append(at)
-            weights.append(self._weights(clipped[at] - centre, patches)[0] * inside)
-            away.append((u[at] - centre) / self.spacings[patches, None])
-        values = local.rectangles(points, away[0], away[1], self._coefficients_at(slots), levels)
-        values += self.bias[patches].T[:, :, None, None]
-        weight = weights[1][:, :, None] * weights[0][:, None, :]
-        values *= weight
-        return nodes[1][:, :, None] * len(axes[0][0]) + nodes[0][:, None, :], values, weight
-
-    def _weights(self, away: FloatArray, patches: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Weight along one axis at offsets (p, m) from the middle of the patches, in cells, and its slope."""
-        side = self.cover.sides[patches, None]
-        value, slope = step((0.5 + BLEND_MARGIN - np.abs(away) / side) / (2 * BLEND_MARGIN))
-        return value, -slope * np.sign(away) / (2 * BLEND_MARGIN * side)
-
-    def _blended(
-        self, X: FloatArray, columns: int, evaluate: Callable[[IntArray, FloatArray], FloatArray]
-    ) -> tuple[FloatArray, FloatArray]:
-        """What the patches say at X (m, 2), blended, and what the change of the weights adds to the derivatives.
-
-        `evaluate` takes patches (p,) and places (p, q, 2) in mean spacings about their middles to (p, q, columns). The
-        second result has the shape (m, columns, 2), per cell.
-        """
-        frame = self.cover.frame
-        u = frame.scaled(X)
-        inside = frame.clipped(u)
-        codes = frame.codes(X)
-        order = np.argsort(codes, kind="stable")
-        u, inside, codes = u[order], inside[order], codes[order]
-        runs = self.cover.runs(codes)
-        total, weight = np.zeros((len(X), columns)), np.zeros(len(X))
-        lean, shift = np.zeros((len(X), columns, 2)), np.zeros((len(X), 2))
-
-        def work(piece: tuple[IntArray, IntArray, BoolArray]) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-            patches, rows, real = piece
-            centres = self.cover.centres[patches, None]
-            away = inside[rows] - centres
-            wx, sx = self._weights(away[..., 0], patches)
-            wy, sy = self._weights(away[..., 1], patches)
-            found = evaluate(patches, (u[rows] - centres) / self.spacings[patches, None, None])[real]
-            slope = (np.stack([sx * wy, wx * sy], axis=-1) * (u[rows] == inside[rows]))[real]
-            return rows[real], found, (wx * wy)[real], slope
-
-        for patches in self.cover.groups(GROUP):
-            position, row = self.cover.members(patches, inside, runs, *self.cover.squares(patches, BLEND_MARGIN))
-            for at, found, w, slope in in_order(work, self._queries(patches, position, row)):
-                np.add.at(total, at, w[:, None] * found)
-                np.add.at(weight, at, w)
-                np.add.at(lean, at, found[:, :, None] * slope[:, None, :])
-                np.add.at(shift, at, slope)
-        blended = total / weight[:, None]
-        lean = (lean - blended[:, :, None] * shift[:, None, :]) / weight[:, None, None]
-        values, slopes = np.empty_like(blended), np.empty_like(lean)
-        values[order], slopes[order] = blended, lean
-        return values, slopes
-
-    def _queries(
-        self, patches: IntArray, position: IntArray, row: IntArray
-    ) -> list[tuple[IntArray, IntArray, BoolArray]]:
-        """Batches of patches (p,), rows of queries (p, q), and which of those are not padding."""
-        counts = np.bincount(position, minlength=len(patches))
-        parts = -(-counts // QUERIES)
-        which = np.repeat(np.arange(len(patches)), parts)
-        first = (np.cumsum(counts) - counts)[which] + QUERIES * ragged(np.zeros_like(parts), parts)
-        many = np.minimum(np.cumsum(counts)[which] - first, QUERIES)
-        points = np.diff(self.starts)[patches[which]]
-        order = np.lexsort((points, many))
-        pieces = []
-        for part in _runs((many * points)[order], CACHED):
-            chosen = order[part]
-            at = np.arange(int(many[chosen].max()))
-            real = at < many[chosen, None]
-            pieces.append(
-                (patches[which[chosen]], row[np.where(real, first[chosen, None] + at, first[chosen, None])], real)
-            )
-        return pieces
 
 
 _ARRAYS = (
@@ -772,66 +621,3 @@ def _smooth() -> list[Kernel]:
     """Multiquadrics and single Gaussians."""
     multiquadrics = [Kind("multiquadric", scale).kernel(LADDER / 2) for scale in SCALES]
     return [*multiquadrics, *(Kernel.single(spread) for spread in SINGLE)]
-
-
-def _runs(size: IntArray, budget: int) -> list[slice]:
-    """Consecutive items whose number times their largest size stays within the budget, at least one each."""
-    runs, start = [], 0
-    while start < len(size):
-        stop, largest = start + 1, int(size[start])
-        while stop < len(size) and (stop + 1 - start) * max(largest, int(size[stop])) <= budget:
-            largest = max(largest, int(size[stop]))
-            stop += 1
-        runs.append(slice(start, stop))
-        start = stop
-    return runs
-
-
-def _patches(cover: Cover, u: FloatArray, runs: IntArray, tick: Tick) -> tuple[IntArray, IntArray, FloatArray]:
-    """Points of every patch: where they begin (patches + 1,), their rows, and the mean spacing of each patch."""
-
-    def gather(patches: IntArray) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-        low, high = cover.squares(patches, FIT_MARGIN, RIM_MARGIN)
-        position, row = cover.members(patches, u, runs, low, high)
-        middle = (low + high) / 2
-        quarter = (u[row, 0] > middle[position, 0]) + 2 * (u[row, 1] > middle[position, 1])
-        counts = np.bincount(4 * position + quarter, minlength=4 * len(patches)).reshape(-1, 4)
-        total = counts.sum(axis=1)
-        spacing = np.sqrt(np.prod(high - low, axis=1) / np.maximum(total, 1))
-        poor = np.flatnonzero(counts.min(axis=1) < FEWEST)
-        return total, row.astype(np.int32), patches[poor], spacing
-
-    groups = list(cover.groups(GROUP))
-    found = parallel(gather, groups, tick=lambda fraction: tick("cells", fraction))
-    counts = np.concatenate([part[0] for part in found])
-    members = np.concatenate([part[1] for part in found])
-    poor = np.concatenate([part[2] for part in found])
-    spacings = np.concatenate([part[3] for part in found])
-    starts = np.append(0, np.cumsum(counts))
-    if len(poor):
-        starts, members = _with_borrowed(cover, u, starts, members, poor, spacings)
-    return starts, members, spacings
-
-
-def _with_borrowed(
-    cover: Cover, u: FloatArray, starts: IntArray, members: IntArray, poor: IntArray, spacings: FloatArray
-) -> tuple[IntArray, IntArray]:
-    """Add to each of the `poor` patches the points nearest to nine places of its square; mends their spacings."""
-    nearest = KDTree(u, balanced_tree=False, compact_nodes=False)
-    low, high = cover.squares(poor, FIT_MARGIN, RIM_MARGIN)
-    places = low[:, None] + _NINE * (high - low)[:, None]
-    _, rows = nearest.query(places.reshape(-1, 2), k=range(1, min(BORROWED, len(u)) + 1))
-    borrowed = rows.reshape(len(poor), -1).astype(np.int32)
-    runs: list[IntArray] = []
-    done = 0
-    counts = np.diff(starts)
-    for patch, extra in zip(poor, borrowed, strict=True):
-        runs.append(members[done : starts[patch]])
-        mine = np.union1d(members[starts[patch] : starts[patch + 1]], extra)
-        runs.append(mine)
-        done = starts[patch + 1]
-        counts[patch] = len(mine)
-        box = np.ptp(u[mine], axis=0)
-        spacings[patch] = max(float(np.sqrt(box[0] * box[1] / len(mine))), float(box.max()) / len(mine))
-    runs.append(members[done:])
-    return np.append(0, np.cumsum(counts)), np.concatenate(runs)
