@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from base64 import b64encode
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import asdict
 from functools import partial
-from hashlib import sha256
 from http import HTTPStatus
-from importlib.resources import files
 from itertools import chain
 from typing import Annotated, Any, TypeVar
 
@@ -25,6 +22,7 @@ from common.channel.carrying import FAULTS_HEADER
 from common.errors import ForbiddenError, MediaTypeError, NotFoundError, NotReadyError, ParameterError
 from common.messages import SurfaceId
 from common.network.model import NetworkSettings, SurfaceModel
+from common.page import Page, api_page, read_page
 from common.problems import MEDIA_TYPE as PROBLEM_TYPE
 from common.problems import Problem
 from common.surface import FloatArray
@@ -363,18 +361,15 @@ async def metrics(here: Here) -> Response:
 @api.get("/", include_in_schema=False, response_class=HTMLResponse)
 async def viewer(request: Request) -> HTMLResponse:
     """The viewer: one page that asks this service for everything else."""
-    return _page(request, "index.html")
+    page: Page = request.app.state.viewer
+    return HTMLResponse(page.text, headers=page.headers)
 
 
 @api.get("/docs", include_in_schema=False, response_class=HTMLResponse)
 async def docs(request: Request) -> HTMLResponse:
     """The OpenAPI document for people, without the network that FastAPI's own page needs."""
-    return _page(request, "docs.html")
-
-
-def _page(request: Request, name: str) -> HTMLResponse:
-    text, policy = request.app.state.pages[name]
-    return HTMLResponse(text, headers={"Content-Security-Policy": policy, "Cache-Control": "no-cache"})
+    page: Page = request.app.state.docs
+    return HTMLResponse(page.text, headers=page.headers)
 
 
 def _neurons(model: SurfaceModel) -> dict[str, FloatArray]:
@@ -454,17 +449,6 @@ async def _deliver(
     return StreamingResponse(chain([first], others), media_type=form.media_type, headers=headers)
 
 
-def _read_page(name: str) -> tuple[str, str]:
-    """A page, and the policy that lets it run its own script and speak to this service, and nothing else."""
-    text = (files("receiver") / "viewer" / name).read_text(encoding="utf-8")
-    script = text.partition("<script>")[2].partition("</script>")[0]
-    digest = b64encode(sha256(script.encode()).digest()).decode()
-    return text, (
-        f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src 'self' data:; "
-        "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-    )
-
-
 def create_app(settings: Settings | None = None, *, train: Train = SurfaceModel.train) -> FastAPI:
     """A receiver.
 
@@ -509,7 +493,7 @@ def create_app(settings: Settings | None = None, *, train: Train = SurfaceModel.
     )
     app.state.settings = known
     app.state.surfaces = None
-    app.state.pages = {name: _read_page(name) for name in ("index.html", "docs.html")}
+    app.state.viewer, app.state.docs = read_page("receiver", "viewer/index.html"), api_page(home="Viewer")
     app.state.channel = Channel.given(known.channel, known.seed if "seed" in known.model_fields_set else None)
     app.include_router(api)
     install(app)

@@ -15,13 +15,14 @@ import anyio
 import anyio.abc
 from fastapi import APIRouter, Depends, FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import JSONResponse, RedirectResponse
+from fastapi.responses import HTMLResponse, JSONResponse, RedirectResponse
 from pydantic import BaseModel, Field, ValidationError
 from starlette.datastructures import UploadFile
 from starlette.exceptions import HTTPException
 
 from common.errors import LimitError, NotFoundError, ParameterError, SurfacelinkError
 from common.messages import Receipt
+from common.page import api_page
 from common.problems import (
     MEDIA_TYPE,
     Problem,
@@ -156,7 +157,7 @@ PROBLEMS: dict[int | str, dict[str, Any]] = {
 }
 
 
-@router.get("/surfaces", summary="What can be sent by name")
+@router.get("/surfaces", tags=["surfaces"], summary="What can be sent by name")
 def surfaces() -> list[SurfaceOut]:
     return [
         SurfaceOut(
@@ -173,6 +174,7 @@ def surfaces() -> list[SurfaceOut]:
 
 @router.post(
     "/transmissions",
+    tags=["transmissions"],
     status_code=HTTPStatus.ACCEPTED,
     summary="Send a surface, or an uploaded file, to the receiver",
     responses=PROBLEMS,
@@ -231,7 +233,12 @@ async def send(
     return record
 
 
-@router.get("/transmissions/{transmission}", summary="What has become of it", responses={404: PROBLEMS[404]})
+@router.get(
+    "/transmissions/{transmission}",
+    tags=["transmissions"],
+    summary="What has become of it",
+    responses={404: PROBLEMS[404]},
+)
 def transmission(transmission: str, desk: Annotated[Desk, Depends(_desk)]) -> TransmissionOut:
     return desk.get(transmission)
 
@@ -324,6 +331,8 @@ def create_app(settings: Settings | None = None, connect: Connect = ReceiverClie
         description="Keeps the feature points of a surface and sends them to the receiver.",
         version=product_version(),
         lifespan=lifespan,
+        docs_url=None,
+        redoc_url=None,
         dependencies=[Depends(_known_query)],
     )
     app.state.settings = settings
@@ -340,6 +349,12 @@ def create_app(settings: Settings | None = None, connect: Connect = ReceiverClie
         reached = await desk.reaches_receiver()
         status = HTTPStatus.OK if reached else HTTPStatus.SERVICE_UNAVAILABLE
         return JSONResponse({"status": "ready" if reached else "the receiver does not answer"}, status)
+
+    page = api_page()
+
+    @app.get("/docs", include_in_schema=False)
+    def docs() -> HTMLResponse:
+        return HTMLResponse(page.text, headers=page.headers)
 
     @app.get("/", include_in_schema=False)
     def root() -> RedirectResponse:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
@@ -250,6 +251,16 @@ def test_the_api_describes_both_kinds_of_body() -> None:
     assert set(body) == {"application/json", "multipart/form-data"}
     assert "Order" in schema["components"]["schemas"]
     assert schema["info"]["version"] == product_version()
+
+
+@pytest.mark.anyio
+async def test_the_page_of_the_api_needs_no_other_network() -> None:
+    async with service() as client:
+        page = await client.get("/", follow_redirects=True)
+    assert page.headers["Content-Type"].startswith("text/html")
+    assert "default-src 'none'" in page.headers["Content-Security-Policy"]
+    assert not re.search(r"(src|href)=[\"'](https?:)?//", page.text)
+    assert "Viewer" not in page.text
 
 
 @pytest.mark.parametrize(
