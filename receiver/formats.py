@@ -198,12 +198,12 @@ def _grid_png(answer: GridAnswer) -> Iterator[bytes]:
 
 
 def _grid_tif(answer: GridAnswer) -> Iterator[bytes]:
-    """GeoTIFF, float32, north up, pixels as points; a second band is the standard deviation."""
+    """GeoTIFF, float64, north up, pixels as points; a second band is the standard deviation."""
     import tifffile  # an extra
 
     grid = answer.grid
     bands = [grid.z] if answer.std is None else [grid.z, answer.std]
-    image = np.stack([band[::-1] for band in bands]).astype("<f4")
+    image = np.stack([band[::-1] for band in bands]).astype("<f8")
     step_x = grid.region.width / (grid.shape[1] - 1)
     step_y = grid.region.height / (grid.shape[0] - 1)
     tie = (0.0, 0.0, 0.0, float(grid.x[0]), float(grid.y[-1]), 0.0)

@@ -120,7 +120,11 @@ def framed(grid: HeightGrid, name: str, style: Style, quantity: str = "height") 
     with _drawing:
         figure = Figure(figsize=(WIDTH, total), dpi=DPI)
         axes = figure.add_axes((left / WIDTH, below / total, width / WIDTH, height / total))
-        axes.imshow(relief(grid, style), extent=region.bounds, aspect="auto", interpolation="bilinear")
+        # A pixel is a node: those at the edge stand on it, and half of each is beyond.
+        over_x, over_y = region.width / (grid.x.size - 1) / 2, region.height / (grid.y.size - 1) / 2
+        extent = (region.x_min - over_x, region.x_max + over_x, region.y_min - over_y, region.y_max + over_y)
+        axes.imshow(relief(grid, style), extent=extent, aspect="auto", interpolation="bilinear")
+        axes.set(xlim=region.bounds[:2], ylim=region.bounds[2:])
         if low < high:
             levels = MaxNLocator(LEVELS).tick_values(low, high)
             axes.contour(

@@ -122,3 +122,22 @@ def test_survey_coordinates_are_written_in_full_and_within_the_picture(monkeypat
         labels = [float(label.get_text()) for label in axis.get_ticklabels()]
         assert len(labels) >= 3
         assert all(low <= label <= high for label in labels)
+
+
+def test_a_node_is_drawn_where_it_lies(monkeypatch: pytest.MonkeyPatch) -> None:
+    figures: list[Figure] = []
+    save = Figure.savefig
+
+    def keep(figure: Figure, *arguments: Any, **options: Any) -> None:
+        figures.append(figure)
+        save(figure, *arguments, **options)
+
+    monkeypatch.setattr(Figure, "savefig", keep)
+    plane = HeightGrid(np.array([0.0, 2.0]), np.array([5.0, 6.0]), np.array([[0.0, 1.0], [0.0, 1.0]]))
+    pixels = np.asarray(opened(picture(plane, "plane", Style("gray", shading=False))))[:, :, 0]
+    axes = figures[0].axes[0]
+    assert (axes.get_xlim(), axes.get_ylim()) == ((0, 2), (5, 6))
+    box = axes.get_window_extent()
+    for share in (0.05, 0.15, 0.35, 0.65, 0.85, 0.95):  # off the contour lines
+        drawn = pixels[pixels.shape[0] - round(box.y0 + box.height / 2), round(box.x0 + share * box.width)]
+        assert abs(int(drawn) - 255 * share) < 4, share
