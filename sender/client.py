@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from ipaddress import ip_address
 from typing import Any, TypeAlias
 
 import anyio
@@ -57,6 +58,26 @@ def server_url(url: str, whose: str) -> httpx.URL:
     if parsed.port is not None and not 1 <= parsed.port <= 65535:
         raise ParameterError(f"{told}; its port must be 1 to 65535")
     return parsed
+
+
+def http_client(
+    server: httpx.URL, timeout: httpx.Timeout, transport: httpx.AsyncBaseTransport | None
+) -> httpx.AsyncClient:
+    """A client for `server`: through the proxy of the environment, unless there is a `transport` or the server is on
+    this machine, where no proxy can reach it. Raises ParameterError for a proxy that cannot be used."""
+    try:
+        here = ip_address(server.host).is_loopback
+    except ValueError:
+        here = server.host == "localhost"
+    if transport is None and here:
+        transport = httpx.AsyncHTTPTransport()
+    try:
+        return httpx.AsyncClient(base_url=server, timeout=timeout, transport=transport)
+    except (ImportError, ValueError, httpx.InvalidURL) as error:
+        raise ParameterError(
+            f"the proxy that HTTP_PROXY, HTTPS_PROXY or ALL_PROXY names cannot be used: {error}; "
+            f"NO_PROXY={server.host} goes without"
+        ) from error
 
 
 @dataclass(frozen=True)
@@ -135,7 +156,7 @@ class ReceiverClient:
         base = server_url(url, "a receiver's")
         if base.path.rstrip("/").endswith("/v1"):
             raise ParameterError(f"{url!r} has the path of a call in it; give the receiver's URL without /v1")
-        return cls(httpx.AsyncClient(base_url=base, timeout=timeout, transport=transport))
+        return cls(http_client(base, timeout, transport))
 
     async def __aenter__(self) -> ReceiverClient:
         await self.http.__aenter__()

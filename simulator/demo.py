@@ -112,7 +112,7 @@ async def run_demo(
     exhibits = []
     async with (
         ReceiverClient.connect(services.receiver) as receiver,
-        httpx.AsyncClient(base_url=services.sender, timeout=60) as sender,
+        httpx.AsyncClient(base_url=services.sender, timeout=60, trust_env=False) as sender,
     ):
         for name in names:
             surface = find_surface(name)

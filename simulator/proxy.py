@@ -27,7 +27,7 @@ from common.wire.limits import MAX_BODY
 from receiver.limits import limited
 from receiver.middleware import FAULTS, ChannelMiddleware, Sleep
 from receiver.problems import respond
-from sender.client import server_url
+from sender.client import http_client, server_url
 
 TIMEOUT = httpx.Timeout(connect=5.0, write=60.0, pool=60.0, read=None)
 """Seconds. Reading has no limit: a stream of events may be silent for as long as it likes."""
@@ -81,7 +81,7 @@ def create_proxy(
 
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
-        async with httpx.AsyncClient(transport=transport, timeout=TIMEOUT, follow_redirects=False) as client:
+        async with http_client(base, TIMEOUT, transport) as client:
             app.state.client = client
             yield
 

@@ -88,7 +88,7 @@ def _wait_until_ready(name: str, process: subprocess.Popen[bytes], url: str, log
     end = time.monotonic() + START_TIMEOUT
     while time.monotonic() < end and process.poll() is None:
         with contextlib.suppress(httpx.TransportError):
-            if httpx.get(f"{url}/health/ready", timeout=5.0).is_success:
+            if httpx.get(f"{url}/health/ready", timeout=5.0, trust_env=False).is_success:
                 return
         time.sleep(0.1)
     last = log.read_text(errors="replace").strip().splitlines()[-3:]

@@ -31,7 +31,13 @@ def test_the_demo_prints_its_table_and_draws_its_picture(tmp_path: Path) -> None
     done = subprocess.run(
         [sys.executable, "-m", "simulator", "demo", "--surface", "surface-1", "--out", str(tmp_path / "out")],
         cwd=ROOT,
-        env={"COLUMNS": "160", "PATH": "", "HOME": str(tmp_path), "OMP_NUM_THREADS": "1"},
+        env={
+            "COLUMNS": "160",
+            "PATH": "",
+            "HOME": str(tmp_path),
+            "OMP_NUM_THREADS": "1",
+            "http_proxy": "http://127.0.0.1:9",  # that nobody listens on; what is on this machine needs none
+        },
         capture_output=True,
         text=True,
         timeout=200,

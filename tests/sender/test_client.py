@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -270,3 +271,35 @@ def test_an_array_that_is_none_is_refused() -> None:
     receiver = Receiver(httpx.Response(200, content=json.dumps([1]).encode()))
     with pytest.raises(LinkError, match="did not answer with an array"):
         receiver.run(lambda client: client.features("a"))
+
+
+@pytest.mark.parametrize(
+    ("url", "proxied"),
+    [
+        ("http://127.0.0.1:8001", False),
+        ("http://localhost", False),
+        ("http://[::1]:8001", False),
+        ("http://192.0.2.7:8001", True),
+        ("http://receiver.test", True),
+    ],
+)
+def test_no_proxy_stands_before_a_receiver_on_this_machine(
+    url: str, proxied: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("no_proxy", "NO_PROXY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("http_proxy", "http://192.0.2.1:3128")
+
+    async def pool() -> object:
+        async with ReceiverClient.connect(url) as client:
+            return client.http._transport_for_url(httpx.URL(url))._pool  # type: ignore[attr-defined]
+
+    assert ("Proxy" in type(anyio.run(pool)).__name__) == proxied
+
+
+@pytest.mark.parametrize("proxy", ["socks5://127.0.0.1:9", "carrier-pigeon://loft"])
+def test_a_proxy_that_cannot_be_used_is_told(proxy: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("all_proxy", proxy)
+    monkeypatch.setitem(sys.modules, "socksio", None)
+    with pytest.raises(ParameterError, match=r"ALL_PROXY names cannot be used: .*; NO_PROXY=receiver\.test goes"):
+        ReceiverClient.connect(URL)
