@@ -7,13 +7,14 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, WithJsonSchema, computed_field
 
-_ID = r"[A-Za-z0-9._-]{1,64}"
+_ID = r"(?!\.{1,2}$)[A-Za-z0-9._-]{1,64}"  # clients take . and .. out of a path (RFC 3986, section 5.2.4)
 
 
 def _check_id(name: str) -> str:
     if re.fullmatch(_ID, name) is None:
         raise ValueError(
-            "expected 1 to 64 characters: letters from A to Z and a to z, digits, dots, underlines, hyphens"
+            "expected 1 to 64 characters: letters from A to Z and a to z, digits, dots, underlines, hyphens; "
+            "not . or .. alone"
         )
     return name
 

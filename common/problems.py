@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from http import HTTPStatus
 from itertools import islice
@@ -18,8 +19,8 @@ BRANCH = re.compile(r"literal\[|constrained-|function-|(int|float|str|bool)$")
 """What pydantic puts behind a field's name to say which of several accepted types its complaint is about."""
 
 
-MOST_UNKNOWN = 8
-"""Unknown parameters that are named at once: there is no end to those that can be given."""
+MOST_REFUSED = 8
+"""Parameters that are refused by name at once: there is no end to those that can be given."""
 
 
 class InvalidField(BaseModel):
@@ -63,10 +64,11 @@ def problem_of_status(status: int, detail: str | None = None) -> Problem:
     return Problem(type="about:blank", title=HTTPStatus(status).phrase, status=status, detail=detail)
 
 
-def unknown_parameters(
+def refused_parameters(
     document: Mapping[str, Any], path: str, method: str, given: Iterable[str]
 ) -> list[dict[str, Any]]:
-    """Query parameters that a call does not have, for `problem_of_fields`; none of them would do anything.
+    """Query parameters that would do nothing, for `problem_of_fields`: those that a call does not have, and all but the
+    last of those that are given more than once.
 
     Parameters
     ----------
@@ -75,16 +77,19 @@ def unknown_parameters(
     path, method : str
         Of the call, as the document names it.
     given : iterable of str
-        Names of the parameters that were given.
+        Names of the parameters that were given, as often as they were.
     """
+    times = Counter(given)
     call = document["paths"].get(path, {}).get(method.lower(), {})
     accepted = [each["name"] for each in call.get("parameters", ()) if each["in"] == "query"]
 
     def told(name: str) -> str:
+        if name in accepted:
+            return "given more than once; one value is taken"
         return f"no such parameter{hint(name, accepted)}" if accepted else "no such parameter; none is accepted here"
 
-    unknown = (name[:40] for name in dict.fromkeys(given) if name not in accepted)
-    return [{"loc": ("query", name), "msg": told(name)} for name in islice(unknown, MOST_UNKNOWN)]
+    refused = (name[:40] for name in times if name not in accepted or times[name] > 1)
+    return [{"loc": ("query", name), "msg": told(name)} for name in islice(refused, MOST_REFUSED)]
 
 
 def problem_of_fields(errors: Sequence[Mapping[str, Any]]) -> Problem:
@@ -109,6 +114,8 @@ def invalid_fields(errors: Sequence[Mapping[str, Any]]) -> list[InvalidField]:
         message = str(error["msg"]).removeprefix("Value error, ")
         if error.get("type") == "json_invalid" and name:  # FastAPI's: the place is a number of characters
             message, name = f"not JSON: {error['ctx']['error']} after {name[-1]} characters", []
+        if error.get("type") in ("bool_parsing", "bool_type"):
+            message = "Input should be true or false"
         label = ".".join(part for part in name if not BRANCH.match(part)) or place
         found.setdefault((place, label), []).append(message)
         if error.get("type") == "literal_error" and isinstance(error["input"], str):

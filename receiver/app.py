@@ -6,6 +6,7 @@ from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequenc
 from contextlib import asynccontextmanager
 from dataclasses import asdict
 from functools import partial
+from hashlib import sha256
 from http import HTTPStatus
 from itertools import chain
 from typing import Annotated, Any, TypeVar
@@ -78,7 +79,7 @@ Id = Annotated[
     SurfaceId,
     Path(
         alias="id",
-        description="Of the surface: 1 to 64 letters, digits, dots, underlines, hyphens.",
+        description="Of the surface: 1 to 64 letters, digits, dots, underlines, hyphens; not . or .. alone.",
         examples=["hills"],
     ),
 ]
@@ -245,7 +246,9 @@ async def get_features(
     """The points that have arrived, as the network is trained on them."""
     chosen = choose(TABLE_FORMATS, form, accept)
     row, features = await here.features(name)
-    tag = f'"{row.n}-{row.revision}-{chosen.name}-features"'
+    # Not the row's number: in a new data folder it would come again with other points.
+    told = (row.features, features.region, features.units, features.gap, features.kind, chosen.name)
+    tag = f'"{sha256(repr(told).encode()).hexdigest()[:32]}"'
 
     def table() -> Table:
         about = {
@@ -316,7 +319,7 @@ async def get_channel(request: Request, settings: Configured) -> schemas.Channel
     return _channel_info(request.app.state.channel, settings)
 
 
-@api.put("/v1/channel", tags=["channel"], summary="Put a channel in force", responses=_problems(403, 422))
+@api.put("/v1/channel", tags=["channel"], summary="Put a channel in force", responses=_problems(400, 403, 415, 422))
 async def put_channel(
     request: Request,
     settings: Configured,
@@ -334,6 +337,8 @@ async def put_channel(
     """For requests that start later; forgotten at a restart. Only where RECEIVER_CHANNEL_CONTROL allows it."""
     if not settings.channel_control:
         raise ForbiddenError("the channel is fixed here; start the receiver with --channel-control to change it")
+    if isinstance(document, bytes):  # what FastAPI hands on where the body is not said to be JSON
+        raise MediaTypeError("a channel is accepted as application/json; say so in the header Content-Type")
     request.app.state.channel = Channel.from_json(document)
     return _channel_info(request.app.state.channel, settings)
 
@@ -426,9 +431,9 @@ async def _events(here: Surfaces, name: str | None) -> AsyncIterator[ServerSentE
                 return
 
 
-def _matches(header: str | None, tag: str) -> bool:
-    """Whether If-None-Match names `tag` (RFC 9110, section 13.1.2: weakly compared)."""
-    given = [part.strip().removeprefix("W/") for part in (header or "").split(",")]
+def _matches(lines: Iterable[str], tag: str) -> bool:
+    """Whether If-None-Match, in one line or several, names `tag` (RFC 9110, section 13.1.2: weakly compared)."""
+    given = [part.strip().removeprefix("W/") for line in lines for part in line.split(",")]
     return tag in given or given == ["*"]
 
 
@@ -437,7 +442,7 @@ async def _deliver(
 ) -> Response:
     """`make`'s content in `form`, or 304 where the client has it already."""
     headers = {"ETag": tag, "Cache-Control": "no-cache", "Vary": "Accept"}
-    if _matches(request.headers.get("if-none-match"), tag):
+    if _matches(request.headers.getlist("if-none-match"), tag):
         return Response(status_code=304, headers=headers)
 
     def begin() -> tuple[bytes, Iterator[bytes]]:

@@ -20,7 +20,7 @@ from common.problems import (
     problem_of,
     problem_of_fields,
     problem_of_status,
-    unknown_parameters,
+    refused_parameters,
 )
 from receiver.limits import limited
 
@@ -56,6 +56,7 @@ async def _on_http_exception(request: Request, error: Exception) -> Response:
         # FastAPI makes a 400 of whatever is raised while it reads a body of JSON.
         return await _on_surfacelink_error(request, error.__cause__)
     details = {
+        HTTPStatus.BAD_REQUEST: "the body cannot be read; accepted is JSON in UTF-8",
         HTTPStatus.NOT_FOUND: f"there is nothing at {request.url.path}; /docs lists what there is",
         HTTPStatus.METHOD_NOT_ALLOWED: f"{request.method} is not possible here; see the header Allow",
     }
@@ -73,12 +74,13 @@ async def _on_anything_else(_request: Request, _error: Exception) -> Response:
 
 
 async def known_query(request: Request) -> None:
-    """For every route: raises RequestValidationError where a query parameter is not one of the route's."""
+    """For every route: raises RequestValidationError where a query parameter is none of the route's, or given twice."""
     if request.query_params:
         path = request.scope["route"].path_format
-        unknown = unknown_parameters(request.app.openapi(), path, request.method, request.query_params)
-        if unknown:
-            raise RequestValidationError(unknown)
+        given = [name for name, _ in request.query_params.multi_items()]
+        refused = refused_parameters(request.app.openapi(), path, request.method, given)
+        if refused:
+            raise RequestValidationError(refused)
 
 
 def install(app: FastAPI) -> None:

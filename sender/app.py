@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import uuid
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import asdict
 from functools import partial
@@ -20,8 +20,9 @@ from pydantic import BaseModel, Field, ValidationError
 from starlette.datastructures import UploadFile
 from starlette.exceptions import HTTPException
 
-from common.errors import LimitError, NotFoundError, ParameterError, SurfacelinkError
+from common.errors import LimitError, NotFoundError, ParameterError, SurfacelinkError, hint
 from common.messages import Receipt
+from common.network.model import NetworkSettings
 from common.page import api_page
 from common.problems import (
     MEDIA_TYPE,
@@ -29,9 +30,10 @@ from common.problems import (
     problem_of,
     problem_of_fields,
     problem_of_status,
-    unknown_parameters,
+    refused_parameters,
 )
 from common.version import product_version
+from common.wire import WireOptions
 from sender.client import ReceiverClient
 from sender.readers import parse_points
 from sender.settings import Settings
@@ -42,6 +44,9 @@ logger = logging.getLogger(__name__)
 
 MAX_ORDER_BYTES = 64 << 10
 """Of an order that comes alone, and of what a form may hold beside its file: boundaries, headers, the order."""
+
+PARTS: Mapping[int | str, type[BaseModel]] = {"wire": WireOptions, "network": NetworkSettings}
+"""Members of an order that have members of their own."""
 
 
 class SurfaceOut(BaseModel):
@@ -256,7 +261,17 @@ def _parse(text: bytes) -> Order:
     try:
         return Order.model_validate_json(text)
     except ValidationError as error:
-        raise RequestValidationError([{**found, "loc": ("body", *found["loc"])} for found in error.errors()]) from error
+        raise RequestValidationError([_in_body(found) for found in error.errors()]) from error
+
+
+def _in_body(found: Mapping[str, Any]) -> dict[str, Any]:
+    """pydantic's complaint with the place in front; of a member that there is not it says which there are."""
+    complaint = {**found, "loc": ("body", *found["loc"])}
+    if found["type"] == "extra_forbidden":
+        *within, name = found["loc"]
+        model = PARTS[within[0]] if within else Order
+        complaint["msg"] = f"no such member{hint(str(name)[:40], model.model_fields)}"
+    return complaint
 
 
 def _answer(problem: Problem, headers: dict[str, str] | None = None) -> JSONResponse:
@@ -273,6 +288,7 @@ async def _on_error(_request: Request, error: Exception) -> Response:
             return _answer(problem_of(error))
         case HTTPException():
             details = {
+                400: f"the form cannot be read: {error.detail}; accepted are one 'file' and one 'order'",
                 404: "there is nothing at this path; /docs lists what there is",
                 405: "this method is not possible here; see the header Allow",
                 415: "send application/json, or multipart/form-data with a file",
@@ -285,12 +301,13 @@ async def _on_error(_request: Request, error: Exception) -> Response:
 
 
 async def _known_query(request: Request) -> None:
-    """For every route: raises RequestValidationError where a query parameter is not one of the route's."""
+    """For every route: raises RequestValidationError where a query parameter is none of the route's, or given twice."""
     if request.query_params:
         path = request.scope["route"].path_format
-        unknown = unknown_parameters(request.app.openapi(), path, request.method, request.query_params)
-        if unknown:
-            raise RequestValidationError(unknown)
+        given = [name for name, _ in request.query_params.multi_items()]
+        refused = refused_parameters(request.app.openapi(), path, request.method, given)
+        if refused:
+            raise RequestValidationError(refused)
 
 
 class SenderAPI(FastAPI):

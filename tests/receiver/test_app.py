@@ -10,6 +10,8 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
@@ -378,6 +380,41 @@ async def test_etag(client: Client, features: FeatureSet) -> None:
         assert (await client.get(other)).headers["etag"] != first.headers["etag"]
 
 
+async def test_an_etag_is_found_in_any_line_of_the_header(client: Client, features: FeatureSet) -> None:
+    await ready(client, features)
+    url = "/v1/surfaces/hills/features"
+    tag = (await client.get(url)).headers["etag"]
+    again = await client.get(url, headers=[("If-None-Match", '"other"'), ("If-None-Match", tag)])
+    assert again.status_code == 304
+
+
+async def test_other_points_in_a_new_folder_have_another_etag(
+    running: Running, features: FeatureSet, tmp_path: Path
+) -> None:
+    others = replace(features, points=features.points[:40])
+    coarser = replace(features, gap=0.5)
+    tags = set()
+    for number, sent in enumerate((features, others, coarser)):
+        async with running(data=tmp_path / str(number)) as client:
+            await ready(client, sent)
+            tags.add((await client.get("/v1/surfaces/hills/features")).headers["etag"])
+    assert len(tags) == 3
+
+
+async def test_a_parameter_that_is_given_twice_is_refused(client: Client, features: FeatureSet) -> None:
+    await ready(client, features)
+    twice = await client.get("/v1/surfaces/hills/grid?shape=3,3&f=csv&shape=4,4")
+    assert_problem(twice, 422, "shape: given more than once; one value is taken")
+    body = b"".join(packets_of(features, "hills"))
+    assert_problem(
+        await client.transmit("hills", body, params=[("spread", 1), ("spread", 2)]), 422, "spread: given more"
+    )
+
+
+async def test_what_a_switch_may_be_is_said(client: Client) -> None:
+    assert_problem(await client.get("/v1/surfaces/hills/grid?std=maybe"), 422, "std: Input should be true or false")
+
+
 async def test_features_and_network(client: Client, features: FeatureSet) -> None:
     await ready(client, features)
     told = (await client.get("/v1/surfaces/hills/features")).json()
@@ -528,6 +565,11 @@ async def test_the_channel_is_shown_and_set_only_where_allowed(running: Running)
         assert (await client.get("/v1/channel")).json() == shown
         malformed = await client.put("/v1/channel", content=b"{", headers={"Content-Type": "application/json"})
         assert_problem(malformed, 422)
+        garbled = await client.put("/v1/channel", content=b"\xff", headers={"Content-Type": "application/json"})
+        assert_problem(garbled, 400, "JSON in UTF-8")
+        for kind in ("application/x-www-form-urlencoded", "text/plain"):
+            unsaid = await client.put("/v1/channel", content=b'{"spec": "clean"}', headers={"Content-Type": kind})
+            assert_problem(unsaid, 415, "as application/json; say so in the header Content-Type")
 
 
 async def test_health_and_metrics(client: Client, features: FeatureSet) -> None:
@@ -540,9 +582,10 @@ async def test_health_and_metrics(client: Client, features: FeatureSet) -> None:
     assert 'route="/v1/transmissions/{id}",status="202"' in text
 
 
-@pytest.mark.parametrize("name", ["a b", "a" * 65, "hills\n", "höhen"])
+@pytest.mark.parametrize("name", ["a b", "a" * 65, "hills\n", "höhen", "%2e", "%2E."])
 async def test_a_surface_id_that_is_none_is_told_what_is_accepted_in_words(client: Client, name: str) -> None:
-    for answer in (await client.get(f"/v1/surfaces/{quote(name)}"), await client.transmit(quote(name), b"")):
+    path = quote(name, safe="%")
+    for answer in (await client.get(f"/v1/surfaces/{path}"), await client.transmit(path, b"")):
         problem = assert_problem(answer, 422, "id: expected 1 to 64 characters: letters from A to Z and a to z, digits")
         assert "[" not in problem["detail"]
 

@@ -53,6 +53,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *ar
         (["surface-1", "--channel", "gausian:std=1"], "did you mean 'gaussian'?"),
         (["surface-1", "--channel", "erasure:p=0.1;seed=5", "--channel-seed", "0"], "two seeds, 0 and 5; give one"),
         (["surface-1", "--id", "a b"], "id: expected 1 to 64 characters: letters"),
+        (["surface-1", "--id", ".."], "hyphens; not . or .. alone"),
         (["nothing.csv"], "No such file"),
         (["empty.csv"], "is empty"),
         (["one.csv"], "at least 3"),
