@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import socket
 
 from common.errors import ParameterError
+
+OF_THE_PORT = (errno.EADDRINUSE, errno.EACCES)
+"""Errors that another port may cure; the others are of the address."""
 
 
 def listen(host: str, port: int) -> socket.socket:
@@ -21,8 +25,9 @@ def listen(host: str, port: int) -> socket.socket:
         listener.listen()
     except OSError as error:
         listener.close()
+        option = "--port" if error.errno in OF_THE_PORT else "--host"
         raise ParameterError(
-            f"cannot listen on {host} port {port}: {error.strerror or error}; choose another --port"
+            f"cannot listen on {host} port {port}: {error.strerror or error}; choose another {option}"
         ) from error
     return listener
 

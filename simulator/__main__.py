@@ -37,9 +37,7 @@ CHANNELS = ("clean", "noisy")
 
 @app.command()
 def demo(
-    out: Annotated[Path, typer.Option(help="Folder for the pictures and the services' logs.")] = Path(
-        "surfacelink-demo"
-    ),
+    out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("surfacelink-demo"),
     surface: Annotated[
         list[str] | None,
         typer.Option(help=f"Send only this one (by default {', '.join(DEMO_SURFACES)}); may be repeated."),

@@ -37,3 +37,11 @@ def test_an_address_of_version_6_stands_in_brackets() -> None:
 def test_where_nobody_can_listen_is_our_error(host: str, port: int) -> None:
     with pytest.raises(ParameterError):
         listen(host, port)
+
+
+def test_the_option_that_would_help_is_named() -> None:
+    with listen("127.0.0.1", 0) as listener, pytest.raises(ParameterError, match="choose another --port"):
+        listen("127.0.0.1", listener.getsockname()[1])
+    for host in ("192.0.2.1", "no host"):
+        with pytest.raises(ParameterError, match="choose another --host"):
+            listen(host, 0)

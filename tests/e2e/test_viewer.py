@@ -312,3 +312,12 @@ def test_no_slope_is_so_dark_that_it_reads_as_a_hole(page: Page) -> None:
     assert shades == sorted(shades)
     assert shades[-1] == 255
     assert shades[5] < 0.75 * 255
+
+
+def test_an_address_that_names_no_surface_shows_the_latest(page: Page, receiver: str, points: np.ndarray) -> None:
+    send(receiver, "hills", points)
+    page.locator("nav li", has_text="hills").wait_for()
+    page.goto(f"{receiver}/#100%")
+    page.reload()
+    page.locator('canvas[data-drawn="hills map z"]').wait_for()
+    assert page.locator("#live").inner_text() == "live"
