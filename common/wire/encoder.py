@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ from common.wire.erasure import SYMBOL_OVERHEAD, parity_blocks
 from common.wire.framing import frame, framing_bytes
 from common.wire.header import COMPACTS, MAX_CELL_BITS, MIN_CELL_BITS, Form, Grid, Header, transmission_tag
 from common.wire.lattice import find_lattice
-from common.wire.limits import MAX_CELLS_A_SIDE, MAX_PACKETS, MAX_POINTS
+from common.wire.limits import MAX_BITS, MAX_CELLS_A_SIDE, MAX_PACKETS, MAX_POINTS, MIN_POINT_BITS
 from common.wire.numbers import Interval, write_varint
 from common.wire.options import WireOptions
 from common.wire.packet import CRC_BYTES, write_payloads
@@ -44,8 +44,14 @@ The error of a position, uniform over a step, then has a deviation below 1/1700 
 1/1700 of what it differs from its neighbour's.
 """
 
+ROUNDING = 1e-9
+"""Of a binary logarithm: what is above a whole number by no more is that number."""
+
 SMALLEST_EXTENT = 1e-300
 """Points that are nearer to each other are not ordered along the curve: their distances would overflow its scale."""
+
+SMALLEST_QUANTISED = SMALLEST_EXTENT * 2**MAX_BITS
+"""What is narrower is not quantised: its steps would overflow likewise."""
 
 MAX_EXTENSION = 2.0
 """How far beyond the region, in sides of it, positions stay quantised: beyond, the step would coarsen for all."""
@@ -192,12 +198,14 @@ def _forms(features: FeatureSet, options: WireOptions) -> Iterator[list[tuple[Fo
             grid = Grid(0, precision, z, cells=lattice[0], centred=lattice[1])
             yield [(Form.COMPACT_LATTICE, grid), (Form.LATTICE, grid)] if is_compact else [(Form.LATTICE, grid)]
         bits = options.position_bits
-        plain = Form.QUANTISED, Grid(bits or _position_bits(len(features)), precision, z, x, y)
+        fine = max(bits or _position_bits(len(features)), math.ceil((MIN_POINT_BITS - precision) / 2))
+        plain = Form.QUANTISED, Grid(fine, precision, z, x, y)
         if is_compact:
+            sides = _sides(features.region, (x, y))
             cells = _cells(features, (x, y))
-            in_cell = CELL_BITS if bits is None else math.ceil(bits - math.log2(max(cells.rows, cells.columns)))
-            in_cell = min(max(in_cell, MIN_CELL_BITS), MAX_CELL_BITS)
-            yield [(Form.COMPACT, Grid(in_cell, precision, z, x, y, cells)), plain]
+            in_cell = CELL_BITS if bits is None else max(_bits_in_cell(bits, cells, sides), MIN_CELL_BITS)
+            if in_cell <= MAX_CELL_BITS:
+                yield [(Form.COMPACT, Grid(in_cell, precision, z, x, y, cells)), plain]
         yield [plain]
     # Doubles carry whatever the other forms cannot.
     yield [(Form.FLOAT64, None)]
@@ -210,15 +218,30 @@ def _cells(features: FeatureSet, boxes: tuple[Interval | None, Interval | None])
         rows, columns = region.pieces(features.gap)
         if 0.7 <= n / (rows * columns) <= 6 and max(rows, columns) <= MAX_CELLS_A_SIDE:
             return Cells(rows, columns, features.gap)
-    x, y = (box.bounds if box else side for box, side in zip(boxes, _sides(region), strict=True))
-    width, height = x[1] - x[0], y[1] - y[0]
+    width, height = (high - low for low, high in _sides(region, boxes))
     side = math.sqrt(width) * math.sqrt(height) * math.sqrt(2 / n)
     columns, rows = (min(max(1, round(extent / side)), MAX_CELLS_A_SIDE, n) for extent in (width, height))
     return Cells(rows, columns)
 
 
-def _sides(region: Region) -> tuple[tuple[float, float], tuple[float, float]]:
-    return (region.x_min, region.x_max), (region.y_min, region.y_max)
+def _bits_in_cell(bits: int, cells: Cells, sides: Sequence[tuple[float, float]]) -> int:
+    """Bits of a position in its cell that are as fine, along x and along y, as `bits` over the whole of that side."""
+    shares = (
+        (cells.side or (high - low) / count) / (high - low)
+        for (low, high), count in zip(sides, (cells.columns, cells.rows), strict=True)
+    )
+    return math.ceil(bits + math.log2(max(shares)) - ROUNDING)
+
+
+def _sides(
+    region: Region, boxes: tuple[Interval | None, Interval | None] = (None, None)
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """(low, high) of x and of y: those of the box, or else of the region."""
+    x, y = boxes
+    return (
+        x.bounds if x else (region.x_min, region.x_max),
+        y.bounds if y else (region.y_min, region.y_max),
+    )
 
 
 def _boxes(features: FeatureSet) -> tuple[Interval | None, Interval | None, Interval] | None:
@@ -226,9 +249,9 @@ def _boxes(features: FeatureSet) -> tuple[Interval | None, Interval | None, Inte
     # Column by column: a reduction along the long axis takes several times as long.
     least, greatest = ([float(reduce(column)) for column in features.points.T] for reduce in (np.min, np.max))
     z = Interval.covering(least[2], greatest[2])
-    if z is None:
-        return None
     sides = _sides(features.region)
+    if z is None or any(high - low < SMALLEST_QUANTISED for low, high in (*sides, z.bounds)):
+        return None
     if all(low <= a and b <= high for (low, high), a, b in zip(sides, least, greatest, strict=False)):
         return None, None, z
     boxes = []

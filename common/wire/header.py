@@ -12,7 +12,14 @@ from enum import IntEnum
 from common.errors import LimitError, PacketError, ParameterError, VersionError
 from common.surface import FEATURE_KINDS, UNITS, FeatureKind, Region, Units
 from common.wire.cells import Cells
-from common.wire.limits import MAX_BITS, MAX_CELLS_A_SIDE, MAX_CELLS_PER_PACKET, MAX_PACKETS, MIN_BITS
+from common.wire.limits import (
+    MAX_BITS,
+    MAX_CELLS_A_SIDE,
+    MAX_CELLS_PER_PACKET,
+    MAX_PACKETS,
+    MIN_BITS,
+    MIN_POINT_BITS,
+)
 from common.wire.numbers import Interval, Reader, write_real, write_varint
 
 VERSION = 1
@@ -255,6 +262,8 @@ def _parse_grid(reader: Reader, form: Form, region: Region, gap: float | None, *
     if form is Form.QUANTISED:
         if not MIN_BITS <= first <= MAX_BITS:
             raise PacketError(f"positions of {first} bits; accepted are {MIN_BITS} to {MAX_BITS}")
+        if 2 * first + height_bits < MIN_POINT_BITS:
+            raise PacketError(f"points of {2 * first + height_bits} bits; accepted are {MIN_POINT_BITS} or more")
         return Grid(first, height_bits, z, x, y)
     if not first & _OWN_CELLS and gap is None:
         raise PacketError("a packet refers to the pieces of a segment gap, but has none")

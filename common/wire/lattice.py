@@ -66,7 +66,7 @@ def _read(blocks: Sequence[bytes], sequences: Sequence[int], header: Header) -> 
     found: list[Steps | None] = []
     for block, (a, b) in zip(blocks, pairwise(accumulate(counts.tolist(), initial=0)), strict=True):
         count = b - a
-        if not 0 < count <= MAX_POINTS_PER_PACKET or len(block) != -(-count * bits // 8):
+        if count > MAX_POINTS_PER_PACKET or len(block) != -(-count * bits // 8):
             found.append(None)
             continue
         padded = np.zeros((count, 32), dtype=np.uint8)

@@ -51,6 +51,9 @@ MIN_BITS = 2
 MAX_BITS = 32
 """Bits of a quantised coordinate. Beyond 32, float64 is as short."""
 
+MIN_POINT_BITS = 8
+"""Bits of a quantised point of a packet without cells. In fewer the zeros that fill up a block would be a point."""
+
 MAX_FALSE_STARTS = 32
 """Bytes that a decoder checks in vain, as a multiple of the bytes fed to it (with `FALSE_START_GRACE` on top).
 

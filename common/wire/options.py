@@ -36,7 +36,8 @@ class WireOptions(BaseModel):
     )
     position_bits: Bits | None = Field(
         default=None,
-        description="Bits of x and of y, quantised over the region; by default what the points' density asks for.",
+        description="Bits of x and of y, quantised over the region; by default what the points' density asks for. "
+        "Where compact coding cannot say so many, it is not used; at least 3 where a height has fewer than 4.",
     )
     min_packets: int = Field(
         default=1,

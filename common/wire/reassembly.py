@@ -111,7 +111,7 @@ class Reassembly:
     def features(self) -> FeatureSet:
         """The features that are here, in the order of their packets; raises NotReadyError where there are none."""
         here = self._arrived | self._settle()
-        if not here or self._header is None:
+        if self._header is None or not self.points:  # a packet whose cells are all empty has none
             raise NotReadyError("no packet with points has arrived yet")
         points = np.concatenate([here[i].points for i in sorted(here)])
         header = self._header

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from common.errors import NotReadyError
 from common.surface import FeatureSet, FloatArray, Region
 from common.wire import Packet, PacketDecoder, Reassembly, WireOptions, cost, encode
 from common.wire.cells import Cells
@@ -207,3 +208,46 @@ def test_what_the_entropy_coder_writes_it_reads(data: st.DataObject) -> None:
     ideal = np.sum(active * (model.bits()[table, value] + bits), axis=0) / 8
     assert np.all(np.array([len(message) for message in messages]) <= ideal + 4)
     assert model.frequencies.sum(axis=1).tolist() == [1 << PRECISION] * 3
+
+
+@pytest.mark.parametrize("aspect", [0.1, 1.0, 7.3])
+@pytest.mark.parametrize("bits", [8, 12, 16, 24, 32])
+@pytest.mark.parametrize("gap", [None, 0.37])
+def test_positions_are_as_near_as_their_bits_promise(aspect: float, bits: int, gap: float | None) -> None:
+    """Bits count over each side of the region; where cells cannot hold so many, points are written plainly."""
+    rng = np.random.default_rng(3)
+    points = np.column_stack([rng.uniform(0, 1, 60), rng.uniform(0, aspect, 60), rng.normal(size=60)])
+    sent = FeatureSet(points, Region(0, 1, 0, aspect), gap, "cloud")
+    for coding in ("plain", "compact"):
+        options = WireOptions(coding=coding, position_bits=bits)
+        far = farthest(sent, received(encode(sent, transmission="t", options=options)))
+        assert np.all(far[:2] <= np.array([1, aspect]) / (2**bits - 1) / 2 * (1 + 1e-9) + 1e-15)
+
+
+def test_a_packet_of_a_lattice_may_hold_no_node() -> None:
+    x, y = Region(0, 1, 0, 1).axes((2, 3))
+    nodes = np.stack([*np.meshgrid(x, y), np.arange(6.0).reshape(2, 3)], axis=-1).reshape(-1, 3)
+    sent = FeatureSet(nodes, Region(0, 1, 0, 1), None, "lattice")
+    for coding in ("plain", "compact"):
+        datagrams = encode(sent, transmission="t", options=WireOptions(min_packets=6, coding=coding))
+        packets = decode(datagrams)
+        assert min(len(packet.points) for packet in packets) == 0
+        reassembly = Reassembly("t")
+        for packet in packets:
+            reassembly.add(packet)
+        assert reassembly.complete
+        assert len(reassembly.features()) == 6
+
+
+def test_of_packets_without_points_there_are_no_features() -> None:
+    """Along a diagonal few cells hold points, and the packets of the others none."""
+    along = np.random.default_rng(1).uniform(0, 1, 300)
+    sent = FeatureSet(np.column_stack([along, along, np.sin(along)]), Region(0, 1, 0, 1), None, "cloud")
+    packets = decode(encode(sent, transmission="t", options=WireOptions(coding="compact", precision=8, datagram=128)))
+    reassembly = Reassembly("t")
+    for packet in packets:
+        if not len(packet.points):
+            reassembly.add(packet)
+    assert reassembly.received
+    with pytest.raises(NotReadyError):
+        reassembly.features()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import zlib
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -145,3 +147,30 @@ def test_split_gives_the_datagrams_back() -> None:
     for body in (b"hello", b"\x80" * 10, datagrams[0][:-1], b"\xc1", b"\x91" * 100_000, b"\xdb\xff\xff\xff\xff"):
         with pytest.raises(WireError):
             split(body)
+
+
+@pytest.mark.parametrize("bits", [2, 3, 4])
+@pytest.mark.parametrize("n", range(1, 17))
+def test_what_fills_up_a_block_is_no_point(bits: int, n: int) -> None:
+    options = WireOptions(precision=bits, position_bits=2)
+    packets, damaged = decode(b"".join(encode(features(n), transmission="t", options=options)))
+    assert (sum(len(packet.points) for packet in packets), damaged) == (n, 0)
+
+
+def test_points_of_fewer_bits_than_a_byte_are_not_read() -> None:
+    options = WireOptions(precision=2, position_bits=3)
+    packet = encode(features(3), transmission="t", options=options)[0]
+    at = packet.index(bytes([3, 2]), 10)
+    payload = bytearray(packet[:-4])
+    payload[at] = 2
+    framed = bytes(payload) + zlib.crc32(bytes(payload[3:])).to_bytes(4, "big")
+    assert decode(framed) == ([], 1)
+
+
+@pytest.mark.parametrize("side", [3e-291, 1e-300, 5e-324])
+def test_points_so_near_that_their_steps_would_overflow_arrive_exactly(side: float) -> None:
+    points = np.array([[0, 0, 1.0], [side, 0, 2.0], [0, side, 3.0], [side, side, 4.0], [0.3 * side, 0.6 * side, 5.0]])
+    sent = FeatureSet(points, Region(0, side, 0, side), None, "cloud")
+    packets, _ = decode(b"".join(encode(sent, transmission="t", options=WireOptions(position_bits=32))))
+    got = reassembled(packets).features().points
+    assert np.array_equal(by_coordinates(got)[:, :2], by_coordinates(points)[:, :2])
