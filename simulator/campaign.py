@@ -298,6 +298,28 @@ class Campaign(Settings):
             )
         return self
 
+    @model_validator(mode="after")
+    def _told_apart(self) -> Self:
+        channels = [
+            f"{channel.axis} {level:g}" if level is not None else str(Channel.parse(channel.spec))
+            for channel in self.channels
+            for level in channel.levels or (None,)
+        ]
+        for called, names, instead in (
+            ("surface", [surface.label for surface in self.surfaces], "vary points or pieces in features"),
+            ("channel", channels, "give each an axis of its own"),
+            (
+                "codec",
+                [f"{codec.method} {codec.label}" for codec in self.codecs],
+                "its datagram does not tell it apart",
+            ),
+        ):
+            if twice := next((name for name in names if names.count(name) > 1), None):
+                raise ValueError(
+                    f"the {called} {twice!r} stands twice, and tables and report would make one line of both: {instead}"
+                )
+        return self
+
     @property
     def size(self) -> int:
         """Number of trials."""

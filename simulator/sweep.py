@@ -23,6 +23,7 @@ from rich.markup import escape
 from rich.table import Table
 
 import common
+import receiver
 import sender
 import simulator
 from common.errors import ParameterError
@@ -73,7 +74,7 @@ def library_versions() -> dict[str, str]:
 def code_digest() -> str:
     """Stands for the code that rows depend on: cells that other code has finished are run again."""
     digest = hashlib.sha256()
-    for package in (common, sender, simulator):
+    for package in (common, sender, receiver, simulator):
         root = Path(package.__path__[0])
         for path in sorted(root.rglob("*.py")):
             if package is not simulator or path.name not in PRESENTATION:
@@ -91,16 +92,17 @@ def run_campaign(
     command: str = "simulate sweep",
     times: bool = True,
     work: Callable[..., Result] = run_trial,
+    way: Way = Way.DIRECT,
 ) -> list[Row]:
     """Run what the journal in `out` does not hold, then write the table, the times and the report.
 
     ``journal.jsonl`` finished trials; ``table.csv`` (and ``table.parquet`` where pyarrow is installed) the rows;
     ``cells.csv`` medians and quartiles; ``seconds.csv`` what each row took, empty where that was not measured;
-    ``report.html``; ``environment.json`` what it ran on.
+    ``report.html``; ``environment.json`` what it ran on. `way` is that of `work`: what went another way is run again.
     """
     trials = campaign.trials()
     with Journal(out / "journal.jsonl") as journal:
-        results = Run(trials, work, workers, stamp=code_digest()).collect(journal, progress=progress)
+        results = Run(trials, work, workers, stamp=f"{code_digest()}-{way}-").collect(journal, progress=progress)
     rows = [row for result in results for row in result.rows]
     seconds = [value for result in results for value in result.seconds]
     (out / "table.csv").write_text(to_csv(rows), "utf-8")
@@ -294,6 +296,7 @@ def sweep_command(
                 workers=workers or os.cpu_count() or 1,
                 progress=progress,
                 work=partial(run_trial, transport=carrier),
+                way=transport,
                 times=times,
                 command=shlex.join(["simulate", *sys.argv[1:]]),
             )

@@ -25,6 +25,7 @@ from simulator.choice import choose_features
 from simulator.runner import Cell, Run
 from simulator.sweep import DEFAULT_PLAN, code_digest, plan_of_options, run_campaign, sweep_command
 from simulator.table import COLUMNS, to_csv, write_parquet
+from simulator.transports import Way
 from simulator.trial import notes_of, run_trial
 
 PLAN: dict[str, Any] = {
@@ -103,6 +104,14 @@ def test_a_finished_campaign_runs_nothing_again(tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
     run_campaign(plan, tmp_path, workers=1, progress=lambda *now: seen.append(now))
     assert seen == [(2, 2)]
+
+
+def test_what_is_to_go_another_way_is_run_again(tmp_path: Path) -> None:
+    plan = campaign(surfaces=["surface-1"], seeds=1, methods=["linear"])
+    run_campaign(plan, tmp_path, workers=1)
+    seen: list[tuple[int, int]] = []
+    run_campaign(plan, tmp_path, workers=1, way=Way.ASGI, progress=lambda *now: seen.append(now))
+    assert seen[0] == (0, 2)
 
 
 def test_all_methods_share_one_cloud_and_one_harm() -> None:
@@ -400,10 +409,33 @@ def test_a_campaign_that_is_too_large_is_refused() -> None:
         campaign(seeds=100_000, surfaces=["peaks"] * 10)
 
 
-@pytest.mark.parametrize("twice", [{"surfaces": ["peaks", "peaks"]}, {"channels": ["clean", "clean"]}])
+COSINES = {"codec": "dct", "budget": 600}
+
+
+@pytest.mark.parametrize(
+    "twice",
+    [
+        {"surfaces": ["peaks", "peaks"]},
+        {"channels": ["clean", "clean"]},
+        {"features": [{"pieces": 5}, {"pieces": 5}]},
+        # Different, but one line of the tables, whose median would be of both.
+        {"surfaces": [{"name": "peaks", "points": 100}, {"name": "peaks", "points": 400}]},
+        {"surfaces": [{"name": "franke"}, {"field": "franke"}]},
+        {"surfaces": [{"file": "a/bay.csv"}, {"file": "b/bay.csv"}]},
+        {"channels": ["erasure:p=0.1", "erasure:p=0.10"]},
+        {"channels": [{"spec": f"{kind}={{level}}", "levels": [0.1]} for kind in ("erasure:p", "gaussian:std")]},
+        {"channels": [{"spec": "erasure:p={level}", "axis": "loss", "levels": [0.1, 0.2, 0.1]}]},
+        {"codecs": [COSINES, COSINES | {"datagram": 64}], "channels": ["clean"]},
+    ],
+)
 def test_what_stands_twice_is_refused(tmp_path: Path, twice: dict[str, object]) -> None:
     with pytest.raises(ParameterError, match="stands twice"):
         run_campaign(campaign(**twice), tmp_path, workers=1)
+
+
+def test_levels_of_one_axis_may_be_of_several_tables() -> None:
+    channels = [{"spec": "erasure:p={level}", "axis": "loss", "levels": [level]} for level in (0.1, 0.2)]
+    assert campaign(channels=channels).size == 2 * 2 * 2
 
 
 def test_a_missing_file_is_one_clear_error(tmp_path: Path) -> None:
