@@ -332,7 +332,7 @@ class Contest:
 
 
 def contests(rows: Sequence[Row]) -> list[Contest]:
-    """Every (surface, channel, bytes allowed) in which the network's own line takes part; none without a rival.
+    """Every (surface, channel, bytes allowed) in which the network's own line takes part and has a rival.
 
     That line is the first of a network with the receiver's settings, or the first network there is. Methods on the
     unharmed cloud are left out.
@@ -350,7 +350,7 @@ def contests(rows: Sequence[Row]) -> list[Contest]:
     ).items():
         distortion = {line: Quartiles.of([row["nrmse"] for row in its]) for line, its in group(of, line_of).items()}
         harmful = any(_harms(text(row, "channel")) for row in of)
-        if own in distortion:
+        if own in distortion and not all(line.startswith(NETWORK) for line in distortion):
             found.append(Contest(surface, axis, level, channel, budget, harmful, distortion, own))
     return found
 
