@@ -100,15 +100,21 @@ def test_a_name_is_no_markup() -> None:
     picture(surface(X), r"$\frac{1}$_^", Style())
 
 
-def test_survey_coordinates_are_written_in_full_and_within_the_picture(monkeypatch: pytest.MonkeyPatch) -> None:
-    figures: list[Figure] = []
+@pytest.fixture
+def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """What is saved from now on."""
+    kept: list[Figure] = []
     save = Figure.savefig
 
     def keep(figure: Figure, *arguments: Any, **options: Any) -> None:
-        figures.append(figure)
+        kept.append(figure)
         save(figure, *arguments, **options)
 
     monkeypatch.setattr(Figure, "savefig", keep)
+    return kept
+
+
+def test_survey_coordinates_are_written_in_full_and_within_the_picture(figures: list[Figure]) -> None:
     survey = HeightGrid(500_000 + 2 * X, 4_100_000 + 3 * Y, 1_200 + 0.1 * np.sin(3 * X) * np.cos(4 * Y[:, None]))
     pixels = np.asarray(opened(picture(survey, "plot", Style())))
     assert np.all(pixels[:, [0, -1], :3] == 255)
@@ -124,15 +130,7 @@ def test_survey_coordinates_are_written_in_full_and_within_the_picture(monkeypat
         assert all(low <= label <= high for label in labels)
 
 
-def test_a_node_is_drawn_where_it_lies(monkeypatch: pytest.MonkeyPatch) -> None:
-    figures: list[Figure] = []
-    save = Figure.savefig
-
-    def keep(figure: Figure, *arguments: Any, **options: Any) -> None:
-        figures.append(figure)
-        save(figure, *arguments, **options)
-
-    monkeypatch.setattr(Figure, "savefig", keep)
+def test_a_node_is_drawn_where_it_lies(figures: list[Figure]) -> None:
     plane = HeightGrid(np.array([0.0, 2.0]), np.array([5.0, 6.0]), np.array([[0.0, 1.0], [0.0, 1.0]]))
     pixels = np.asarray(opened(picture(plane, "plane", Style("gray", shading=False))))[:, :, 0]
     axes = figures[0].axes[0]
