@@ -156,8 +156,9 @@ def _settings(request: Request) -> Settings:
 
 
 router = APIRouter(prefix="/v1")
+SCHEMAS = "#/components/schemas/{model}"
 PROBLEMS: dict[int | str, dict[str, Any]] = {
-    status: {"model": Problem, "content": {MEDIA_TYPE: {}}, "description": text}
+    status: {"content": {MEDIA_TYPE: {"schema": {"$ref": SCHEMAS.format(model="Problem")}}}, "description": text}
     for status, text in ((404, "No such name"), (413, "Too large"), (415, "Not JSON, not a form"), (422, "Unusable"))
 }
 
@@ -311,13 +312,14 @@ async def _known_query(request: Request) -> None:
 
 
 class SenderAPI(FastAPI):
-    """Describes the order, which FastAPI does not see: the body is of one of two kinds."""
+    """Describes what FastAPI does not see: the order, since the body is of one of two kinds, and the problems."""
 
     def openapi(self) -> dict[str, Any]:
-        """The description with the schema of the order in it."""
+        """The description with the schemas of both in it."""
         described = super().openapi()
-        order = Order.model_json_schema(ref_template="#/components/schemas/{model}")
-        described["components"]["schemas"] |= order.pop("$defs", {}) | {"Order": order}
+        for model in (Order, Problem):
+            schema = model.model_json_schema(ref_template=SCHEMAS)
+            described["components"]["schemas"] |= schema.pop("$defs", {}) | {model.__name__: schema}
         return described
 
 
@@ -351,6 +353,7 @@ def create_app(settings: Settings | None = None, connect: Connect = ReceiverClie
         docs_url=None,
         redoc_url=None,
         dependencies=[Depends(_known_query)],
+        responses={422: PROBLEMS[422]},
     )
     app.state.settings = settings
     for kind in (SurfacelinkError, RequestValidationError, HTTPException, Exception):

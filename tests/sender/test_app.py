@@ -263,7 +263,10 @@ def test_the_api_describes_both_kinds_of_body() -> None:
     schema = create_app(Settings()).openapi()
     body = schema["paths"]["/v1/transmissions"]["post"]["requestBody"]["content"]
     assert set(body) == {"application/json", "multipart/form-data"}
-    assert "Order" in schema["components"]["schemas"]
+    assert {"Order", "Problem", "InvalidField"} <= set(schema["components"]["schemas"])
+    for call in (call for calls in schema["paths"].values() for call in calls.values()):
+        refused = call["responses"]["422"]["content"]
+        assert refused == {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}}
     assert schema["info"]["version"] == product_version()
 
 
