@@ -29,7 +29,7 @@ from common.wire import WireOptions
 from sender.features import extract_features, piece_of
 from sender.surfaces import Surface, find_surface
 from simulator.campaign import Campaign, Trial
-from simulator.folder import make_folder
+from simulator.folder import make_folder, write_whole
 from simulator.methods import NETWORK, ON_CLOUD, parse_method
 from simulator.page import STYLE, TableCell, data_script, page, png, table
 from simulator.progress import progress_bar
@@ -532,19 +532,13 @@ def regenerate(
             limits = _limits(surface, drawn[reading])
             stem = f"figure-{figure.number}" + ("" if reading == figure.readings[0] else f"-{reading}")
             sheet = draw_figure(surface, drawn[reading], f"Figure {figure.number}: {surface.title}")
-            pictures.append(_write(out / f"{stem}.png", png(sheet, dpi=dpi)))
+            pictures.append(write_whole(out / f"{stem}.png", png(sheet, dpi=dpi)))
             for panel in drawn[reading]:
                 name = f"{stem}-{panel.letter.replace('*', '-printed')}.png"
-                pictures.append(_write(out / name, png(draw_single(surface, panel, limits), dpi=dpi)))
+                pictures.append(write_whole(out / name, png(draw_single(surface, panel, limits), dpi=dpi)))
     command = f"simulate paper --seeds {seeds}"
-    target = out / "paper.html"
-    target.write_text(render(errors, drawn, seeds=seeds, command=command), "utf-8")
+    target = write_whole(out / "paper.html", render(errors, drawn, seeds=seeds, command=command))
     return Regenerated(target, tuple(pictures), errors)
-
-
-def _write(path: Path, data: bytes) -> Path:
-    path.write_bytes(data)
-    return path
 
 
 def paper_command(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from matplotlib.ticker import MaxNLocator
 from common.metrics import nrmse
 from common.surface import FloatArray, HeightGrid
 from simulator.demo import Exhibit
+from simulator.folder import write_whole
 
 HEIGHTS = "viridis"
 ERRORS = "RdBu_r"
@@ -119,8 +121,9 @@ def write_pictures(exhibits: Iterable[Exhibit], folder: Path) -> list[Path]:
     """One picture a surface, as PNG, into a folder that is there; the paths."""
     paths = []
     for exhibit in exhibits:
-        paths.append(folder / f"{exhibit.surface.name}.png")
-        exhibit_picture(exhibit).savefig(paths[-1], dpi=140)
+        buffer = io.BytesIO()
+        exhibit_picture(exhibit).savefig(buffer, format="png", dpi=140)
+        paths.append(write_whole(folder / f"{exhibit.surface.name}.png", buffer.getvalue()))
     return paths
 
 

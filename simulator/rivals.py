@@ -8,6 +8,7 @@ are implied. Protection is paid for out of the same bytes.
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -35,7 +36,7 @@ from simulator.codecs import CODECS, Failure, Sandbox, best
 from simulator.codecs.protection import PROTECTIONS
 from simulator.codecs.survival import expose
 from simulator.fields import field
-from simulator.folder import make_folder
+from simulator.folder import make_folder, write_whole
 from simulator.methods import NETWORK, parse_method
 from simulator.page import STYLE, TableCell, illustration, line_style, page, png, svg, table
 from simulator.progress import progress_bar
@@ -158,13 +159,14 @@ def run_rivals(
                             rows += _rows(rival, contest, name, level, seeds, run)
                         done += 1
                         progress(done, total)
-    with (out / "rivals.csv").open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-    (out / "rivals.html").write_text(_page(rows, contests, seeds), "utf-8")
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_whole(out / "rivals.csv", text.getvalue())
+    write_whole(out / "rivals.html", _page(rows, contests, seeds))
     for name, budget, _ in contests:
-        (out / f"rivals-{name}.png").write_bytes(png(figure(rows, name, budget)))
+        write_whole(out / f"rivals-{name}.png", png(figure(rows, name, budget)))
     return rows
 
 

@@ -32,17 +32,29 @@ from sender.options import Columns, NoDataHeight, labels_of
 from sender.surfaces import names_file
 from simulator import report
 from simulator.campaign import Campaign
-from simulator.folder import make_folder
+from simulator.folder import make_folder, write_whole
 from simulator.methods import NAMES
 from simulator.progress import progress_bar
 from simulator.runner import Journal, Progress, Result, Row, Run, silent
-from simulator.table import to_csv, write_parquet
+from simulator.table import to_csv, to_parquet
 from simulator.transports import Way, opened
 from simulator.trial import notes_of, run_trial
 
 PRESENTATION = frozenset(
     f"{name}.py"
-    for name in ("__main__", "demo", "page", "paper", "pictures", "progress", "report", "statistics", "sweep", "table")
+    for name in (
+        "__main__",
+        "demo",
+        "folder",
+        "page",
+        "paper",
+        "pictures",
+        "progress",
+        "report",
+        "statistics",
+        "sweep",
+        "table",
+    )
 )
 """Modules of the simulator that no row depends on."""
 
@@ -105,16 +117,17 @@ def run_campaign(
         results = Run(trials, work, workers, stamp=f"{code_digest()}-{way}-").collect(journal, progress=progress)
     rows = [row for result in results for row in result.rows]
     seconds = [value for result in results for value in result.seconds]
-    (out / "table.csv").write_text(to_csv(rows), "utf-8")
-    (out / "cells.csv").write_text(report.cells_csv(rows), "utf-8")
+    write_whole(out / "table.csv", to_csv(rows))
+    write_whole(out / "cells.csv", report.cells_csv(rows))
     if is_installed("pyarrow"):
-        write_parquet(rows, out / "table.parquet")
-    (out / "seconds.csv").write_text(
-        "".join(["seconds\n", *("\n" if value is None else f"{value:.6f}\n" for value in seconds)]), "utf-8"
+        write_whole(out / "table.parquet", to_parquet(rows))
+    write_whole(
+        out / "seconds.csv",
+        "".join(["seconds\n", *("\n" if value is None else f"{value:.6f}\n" for value in seconds)]),
     )
-    (out / "environment.json").write_text(json.dumps(environment(workers), indent=1) + "\n", "utf-8")
+    write_whole(out / "environment.json", json.dumps(environment(workers), indent=1) + "\n")
     words = report.Words(campaign.title or campaign.name, campaign.lead, command, campaign.notes)
-    (out / "report.html").write_text(report.render(rows, words, seconds if times else None), "utf-8")
+    write_whole(out / "report.html", report.render(rows, words, seconds if times else None))
     return rows
 
 

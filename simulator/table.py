@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from types import MappingProxyType
 
 from common.extras import require
@@ -60,7 +59,7 @@ def to_csv(rows: Iterable[Row]) -> str:
     return text.getvalue()
 
 
-def write_parquet(rows: Iterable[Row], path: Path) -> None:
+def to_parquet(rows: Iterable[Row]) -> bytes:
     """The rows as Parquet; raises MissingExtraError where pyarrow (the extra ``parquet``) is not installed."""
     require("Parquet", "pyarrow", "parquet")
     import pyarrow
@@ -68,4 +67,6 @@ def write_parquet(rows: Iterable[Row], path: Path) -> None:
 
     kinds = {str: pyarrow.string(), int: pyarrow.int64(), float: pyarrow.float64()}
     schema = pyarrow.schema([(name, kinds[kind]) for name, kind in COLUMNS.items()])
-    pyarrow.parquet.write_table(pyarrow.Table.from_pylist([dict(row) for row in rows], schema), path)
+    buffer = io.BytesIO()
+    pyarrow.parquet.write_table(pyarrow.Table.from_pylist([dict(row) for row in rows], schema), buffer)
+    return buffer.getvalue()

@@ -24,7 +24,7 @@ from simulator.campaign import Campaign, FeatureSettings, Trial
 from simulator.choice import choose_features
 from simulator.runner import Cell, Run
 from simulator.sweep import DEFAULT_PLAN, code_digest, plan_of_options, run_campaign, sweep_command
-from simulator.table import COLUMNS, to_csv, write_parquet
+from simulator.table import COLUMNS, to_csv, to_parquet
 from simulator.transports import Way
 from simulator.trial import notes_of, run_trial
 
@@ -528,14 +528,14 @@ def test_the_table_reads_back_to_the_bit() -> None:
 def test_parquet_holds_the_same_rows(tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet", reason="the extra parquet is not installed")
     rows = rows_of(campaign(surfaces=["surface-1"], seeds=1))
-    write_parquet(rows, tmp_path / "t.parquet")
+    (tmp_path / "t.parquet").write_bytes(to_parquet(rows))
     assert parquet.read_table(tmp_path / "t.parquet").to_pylist() == rows
 
 
 def test_parquet_without_its_package_says_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'surfacelink\[parquet\]'"):
-        write_parquet([], tmp_path / "t.parquet")
+        to_parquet([])
 
 
 def test_the_code_digest_is_stable() -> None:
