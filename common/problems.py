@@ -23,6 +23,10 @@ MOST_REFUSED = 8
 """Parameters that are refused by name at once: there is no end to those that can be given."""
 
 
+SCHEMAS = "#/components/schemas/{model}"
+"""Where an OpenAPI document has the schema of a model."""
+
+
 class InvalidField(BaseModel):
     """One part of a request that was not acceptable."""
 
@@ -39,6 +43,11 @@ class Problem(BaseModel):
     status: int = Field(description="The HTTP status.", examples=[404])
     detail: str | None = Field(default=None, description="What was wrong this time, and what is accepted.")
     errors: list[InvalidField] | None = Field(default=None, description="The fields at fault, where there are some.")
+
+
+def described(words: str) -> dict[str, Any]:
+    """OpenAPI's description of an answer that is a problem."""
+    return {"description": words, "content": {MEDIA_TYPE: {"schema": {"$ref": SCHEMAS.format(model=Problem.__name__)}}}}
 
 
 def slug(kind: type[SurfacelinkError]) -> str:

@@ -24,8 +24,7 @@ from common.errors import ForbiddenError, MediaTypeError, NotFoundError, NotRead
 from common.messages import SurfaceId
 from common.network.model import NetworkSettings, SurfaceModel
 from common.page import Page, api_page, read_page
-from common.problems import MEDIA_TYPE as PROBLEM_TYPE
-from common.problems import Problem
+from common.problems import described
 from common.surface import FloatArray
 from common.version import product_version
 from common.wire import MEDIA_TYPES
@@ -101,11 +100,7 @@ Accept = Annotated[str | None, Header(description="Media types, with q where som
 
 def _problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """OpenAPI's description of the errors of a call."""
-    schema = {"$ref": f"#/components/schemas/{Problem.__name__}"}
-    return {
-        status: {"description": HTTPStatus(status).phrase, "content": {PROBLEM_TYPE: {"schema": schema}}}
-        for status in statuses
-    }
+    return {status: described(HTTPStatus(status).phrase) for status in statuses}
 
 
 def _offers(formats: Iterable[Format[Content]], description: str) -> dict[int | str, dict[str, Any]]:
@@ -366,14 +361,16 @@ async def metrics(here: Here) -> Response:
 @api.get("/", include_in_schema=False, response_class=HTMLResponse)
 async def viewer(request: Request) -> HTMLResponse:
     """The viewer: one page that asks this service for everything else."""
-    page: Page = request.app.state.viewer
-    return HTMLResponse(page.text, headers=page.headers)
+    return _page(request.app.state.viewer)
 
 
 @api.get("/docs", include_in_schema=False, response_class=HTMLResponse)
 async def docs(request: Request) -> HTMLResponse:
     """The OpenAPI document for people, without the network that FastAPI's own page needs."""
-    page: Page = request.app.state.docs
+    return _page(request.app.state.docs)
+
+
+def _page(page: Page) -> HTMLResponse:
     return HTMLResponse(page.text, headers=page.headers)
 
 

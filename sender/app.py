@@ -26,7 +26,9 @@ from common.network.model import NetworkSettings
 from common.page import api_page
 from common.problems import (
     MEDIA_TYPE,
+    SCHEMAS,
     Problem,
+    described,
     problem_of,
     problem_of_fields,
     problem_of_status,
@@ -156,9 +158,8 @@ def _settings(request: Request) -> Settings:
 
 
 router = APIRouter(prefix="/v1")
-SCHEMAS = "#/components/schemas/{model}"
 PROBLEMS: dict[int | str, dict[str, Any]] = {
-    status: {"content": {MEDIA_TYPE: {"schema": {"$ref": SCHEMAS.format(model="Problem")}}}, "description": text}
+    status: described(text)
     for status, text in ((404, "No such name"), (413, "Too large"), (415, "Not JSON, not a form"), (422, "Unusable"))
 }
 
@@ -316,11 +317,11 @@ class SenderAPI(FastAPI):
 
     def openapi(self) -> dict[str, Any]:
         """The description with the schemas of both in it."""
-        described = super().openapi()
+        document = super().openapi()
         for model in (Order, Problem):
             schema = model.model_json_schema(ref_template=SCHEMAS)
-            described["components"]["schemas"] |= schema.pop("$defs", {}) | {model.__name__: schema}
-        return described
+            document["components"]["schemas"] |= schema.pop("$defs", {}) | {model.__name__: schema}
+        return document
 
 
 Connect: TypeAlias = Callable[[str], ReceiverClient]

@@ -7,8 +7,6 @@ are implied. Protection is paid for out of the same bytes.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -42,6 +40,7 @@ from simulator.page import STYLE, TableCell, illustration, line_style, page, png
 from simulator.progress import progress_bar
 from simulator.runner import Progress, Row, silent
 from simulator.statistics import Quartiles, group
+from simulator.table import to_csv
 from simulator.trial import direct
 
 
@@ -159,11 +158,7 @@ def run_rivals(
                             rows += _rows(rival, contest, name, level, seeds, run)
                         done += 1
                         progress(done, total)
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_whole(out / "rivals.csv", text.getvalue())
+    write_whole(out / "rivals.csv", to_csv(rows, COLUMNS))
     write_whole(out / "rivals.html", _page(rows, contests, seeds))
     for name, budget, _ in contests:
         write_whole(out / f"rivals-{name}.png", png(figure(rows, name, budget)))

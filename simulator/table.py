@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from types import MappingProxyType
 
 from common.extras import require
@@ -50,10 +50,10 @@ COLUMNS: Mapping[str, type[str] | type[int] | type[float]] = MappingProxyType(
 row that has a `failure`."""
 
 
-def to_csv(rows: Iterable[Row]) -> str:
+def to_csv(rows: Iterable[Row], columns: Collection[str] = COLUMNS) -> str:
     """The rows as CSV with a line of names; floats in the shortest form that reads back to the same bits."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue()

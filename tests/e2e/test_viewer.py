@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,19 +26,9 @@ USUAL = Region(-2, 2, -1, 1)
 
 
 @pytest.fixture
-def receiver(tmp_path: Path) -> Iterator[str]:
+def receiver(start: Callable[..., str], tmp_path: Path) -> str:
     """The address of a receiver that runs as a process of its own."""
-    command = [sys.executable, "-m", "receiver", "serve", "--port", "0", "--data", str(tmp_path / "data")]
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        try:
-            found = re.search(r"http://\S+", process.stdout.readline())
-            assert found is not None
-            yield found[0]
-        finally:
-            process.terminate()
-            status = process.wait(timeout=30)
-    assert status in (0, -15)
+    return start("receiver", "--data", str(tmp_path / "data"))
 
 
 def send(receiver: str, name: str, points: np.ndarray, region: Region = USUAL) -> None:
