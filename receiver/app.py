@@ -21,6 +21,7 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from common.channel import Channel
 from common.channel.carrying import FAULTS_HEADER
 from common.errors import ForbiddenError, MediaTypeError, NotFoundError, NotReadyError, ParameterError
+from common.head import Head
 from common.messages import SurfaceId
 from common.network.model import NetworkSettings, SurfaceModel
 from common.page import Page, api_page, read_page
@@ -500,6 +501,7 @@ def create_app(settings: Settings | None = None, *, train: Train = SurfaceModel.
     app.include_router(api)
     install(app)
     # The last one added stands outermost.
+    app.add_middleware(Head)
     app.add_middleware(CountRequests, metrics=counters)
     app.add_middleware(ChannelMiddleware, max_body_bytes=known.max_body_bytes)
     app.add_middleware(Guard, max_body_bytes=known.max_body_bytes)

@@ -21,6 +21,7 @@ from starlette.datastructures import UploadFile
 from starlette.exceptions import HTTPException
 
 from common.errors import LimitError, NotFoundError, ParameterError, SurfacelinkError, hint
+from common.head import Head
 from common.messages import Receipt
 from common.network.model import NetworkSettings
 from common.page import api_page
@@ -360,6 +361,7 @@ def create_app(settings: Settings | None = None, connect: Connect = ReceiverClie
     for kind in (SurfacelinkError, RequestValidationError, HTTPException, Exception):
         app.add_exception_handler(kind, _on_error)
     app.include_router(router)
+    app.add_middleware(Head)
 
     @app.get("/health/live", tags=["health"], summary="The process runs")
     def live() -> dict[str, str]:

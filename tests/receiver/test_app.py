@@ -547,6 +547,51 @@ async def test_events_of_an_unknown_surface(client: Client) -> None:
     assert_problem(await client.get("/v1/surfaces/hills/events"), 404)
 
 
+async def same_head(client: httpx.AsyncClient, url: str, **headers: str) -> httpx.Response:
+    """The answer to HEAD, which is that to GET without its body."""
+    head, get = await client.head(url, headers=headers), await client.get(url, headers=headers)
+    assert head.content == b""
+    assert (head.status_code, dict(head.headers)) == (get.status_code, dict(get.headers)), url
+    return head
+
+
+async def test_head_answers_as_get_does_without_a_body(client: Client, features: FeatureSet) -> None:
+    await ready(client, features)
+    pages = ["/", "/docs", "/openapi.json", "/health/live", "/health/ready", "/v1/channel", "/problems/not-found"]
+    for url in (*pages, "/v1/surfaces", "/v1/surfaces/hills", "/v1/surfaces/hills?wait=1"):
+        answer = await same_head(client, url)
+        assert answer.status_code == 200
+        assert int(answer.headers["content-length"]) > 0
+    assert (await client.head("/metrics")).status_code == 200  # which counts the requests before: its length differs
+    for part in ("grid?shape=3,4", "grid?f=png", "features", "network?f=csv"):
+        answer = await same_head(client, f"/v1/surfaces/hills/{part}")
+        assert answer.status_code == 200
+        again = await same_head(client, f"/v1/surfaces/hills/{part}", **{"If-None-Match": answer.headers["etag"]})
+        assert again.status_code == 304
+    wrong = {"/v1/surfaces/hills/grid?shape=0,5": 422, "/v1/surfaces/hills/grid?shap=3,3": 422, "/nothing": 404}
+    for url, status in (wrong | {"/v1/surfaces/dales": 404, "/v1/transmissions/hills": 405}).items():
+        assert (await same_head(client, url)).status_code == status
+    assert (await same_head(client, "/v1/surfaces/hills/grid", Accept="audio/ogg")).status_code == 406
+    assert 'method="HEAD",route="/v1/surfaces/{id}/grid",status="200"' in (await client.get("/metrics")).text
+
+
+async def test_head_ends_an_event_stream_at_once(running: Running, features: FeatureSet) -> None:
+    held = Held()
+    async with running(train=held) as client:
+        await client.transmit("hills", packets_of(features, "hills")[0])
+        with anyio.fail_after(10):
+            for url in ("/v1/events", "/v1/surfaces/hills/events"):
+                answer = await client.head(url)
+                assert answer.headers["content-type"].startswith("text/event-stream")
+        held.go.set()
+        assert (await client.head("/v1/surfaces/dales/events")).status_code == 404
+
+
+async def test_the_api_does_not_list_head(client: Client) -> None:
+    calls = (await client.get("/openapi.json")).json()["paths"].values()
+    assert not any("head" in call for call in calls)
+
+
 async def test_the_channel_is_shown_and_set_only_where_allowed(running: Running) -> None:
     async with running(channel="gaussian:std=0.1", seed=5) as client:
         shown = (await client.get("/v1/channel")).json()
@@ -594,7 +639,7 @@ async def test_errors_of_routing_are_problems(client: Client) -> None:
     assert_problem(await client.get("/nothing/here"), 404, "/nothing/here")
     answer = await client.put("/v1/surfaces", json={})
     assert_problem(answer, 405)
-    assert "GET" in answer.headers["allow"]
+    assert answer.headers["allow"] == "GET, HEAD"
 
 
 async def test_kinds_of_problem_can_be_looked_up(client: Client) -> None:

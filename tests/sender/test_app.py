@@ -237,6 +237,21 @@ def test_a_cloud_of_too_many_points_is_refused_drawn_or_uploaded(request_: dict[
     run(use, max_points=100)
 
 
+def test_head_answers_as_get_does_without_a_body() -> None:
+    async def use(client: httpx.AsyncClient) -> None:
+        sent = (await client.post("/v1/transmissions", json={"surface": "surface-1"})).headers["Location"]
+        await settled(client, sent)
+        pages = {"/v1/surfaces": 200, sent: 200, "/health/live": 200, "/health/ready": 200, "/docs": 200, "/": 307}
+        wrong = {"/v1/transmissions/none": 404, "/nothing": 404, "/v1/surfaces?x=1": 422, "/v1/transmissions": 405}
+        for url, status in (pages | wrong).items():
+            head, get = await client.head(url), await client.get(url)
+            assert (head.status_code, head.content) == (status, b""), url
+            assert dict(head.headers) == dict(get.headers)
+        assert "head" not in str((await client.get("/openapi.json")).json()["paths"]["/v1/surfaces"])
+
+    run(use)
+
+
 @pytest.mark.parametrize(("method", "path", "status"), [("GET", "/nothing", 404), ("PUT", "/v1/surfaces", 405)])
 def test_wrong_paths_and_methods_are_problems_too(method: str, path: str, status: int) -> None:
     async def use(client: httpx.AsyncClient) -> None:

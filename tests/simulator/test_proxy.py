@@ -127,6 +127,15 @@ async def test_the_channel_is_steered_at_run_time(packets: list[bytes]) -> None:
 
 
 @pytest.mark.anyio
+async def test_head_is_answered_as_get_is_without_a_body() -> None:
+    async with through(SPEC) as client:
+        for url, status in (("/v1/channel", 200), ("/a", 207)):
+            head, get = await client.head(url), await client.get(url)
+            assert (head.status_code, head.content) == (status, b"")
+            assert head.headers["content-length"] == get.headers["content-length"]
+
+
+@pytest.mark.anyio
 @pytest.mark.parametrize(
     ("content", "status", "detail"),
     [
