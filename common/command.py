@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, NoReturn, TypeVar
 
 import typer
 from pydantic import BaseModel, ValidationError
@@ -16,6 +18,9 @@ from common.problems import problem_of_fields
 from common.version import product_version
 
 Model = TypeVar("Model", bound=BaseModel)
+
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Errors of a full disk."""
 
 
 def settings_from(model: type[Model], options: Mapping[str, Any]) -> Model:
@@ -70,9 +75,20 @@ def command_line(name: str, purpose: str) -> typer.Typer:
 
 
 def run(command: Callable[[], object]) -> None:
-    """Run a command line; an error of ours is one line on stderr and exit status 1."""
+    """Run a command line; an error of ours, and output that a disk has no room for, is one line on stderr and exit
+    status 1. A pipe that is closed ends it without a word: rich and typer see to that."""
     try:
         command()
     except SurfacelinkError as error:
-        Console(stderr=True).print(Text.assemble(("error: ", "bold red"), str(error)), soft_wrap=True)
-        sys.exit(1)
+        _leave(str(error))
+    except OSError as error:
+        if error.errno not in NO_ROOM:
+            raise
+        # Python writes what is left in the buffer when it ends, and would complain once more.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _leave(f"the output cannot be written: {error.strerror}")
+
+
+def _leave(reason: str) -> NoReturn:
+    Console(stderr=True).print(Text.assemble(("error: ", "bold red"), reason), soft_wrap=True)
+    sys.exit(1)
