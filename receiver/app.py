@@ -18,10 +18,10 @@ from fastapi import APIRouter, Body, Depends, FastAPI, Header, Path, Query, Requ
 from fastapi.responses import HTMLResponse, StreamingResponse
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
+from common.asgi import Head
 from common.channel import Channel
 from common.channel.carrying import FAULTS_HEADER
 from common.errors import ForbiddenError, MediaTypeError, NotFoundError, NotReadyError, ParameterError
-from common.head import Head
 from common.messages import SurfaceId
 from common.network.model import NetworkSettings, SurfaceModel
 from common.page import Page, api_page, read_page

@@ -10,6 +10,7 @@ from anyio import to_thread
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from common.asgi import limited
 from common.channel import Channel
 from common.channel.carrying import (
     ATTEMPT_HEADER,
@@ -23,7 +24,6 @@ from common.channel.carrying import (
 )
 from common.errors import SurfacelinkError
 from common.problems import problem_of
-from receiver.limits import limited
 from receiver.problems import respond
 
 Sleep: TypeAlias = Callable[[float], Awaitable[None]]

@@ -12,6 +12,7 @@ from fastapi.responses import Response
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from common.asgi import limited
 from common.errors import NotFoundError, SurfacelinkError
 from common.problems import (
     MEDIA_TYPE,
@@ -22,7 +23,6 @@ from common.problems import (
     problem_of_status,
     refused_parameters,
 )
-from receiver.limits import limited
 
 logger = logging.getLogger(__name__)
 

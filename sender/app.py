@@ -20,8 +20,8 @@ from pydantic import BaseModel, Field, ValidationError
 from starlette.datastructures import UploadFile
 from starlette.exceptions import HTTPException
 
+from common.asgi import Head, limited
 from common.errors import LimitError, NotFoundError, ParameterError, SurfacelinkError, hint
-from common.head import Head
 from common.messages import Receipt
 from common.network.model import NetworkSettings
 from common.page import api_page
@@ -217,15 +217,16 @@ async def send(
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     upload = None
     if kind == "application/json":
-        order = _parse(await _body(request, MAX_ORDER_BYTES))
+        order = _parse(await _bounded(request, MAX_ORDER_BYTES).body())
     elif kind == "multipart/form-data":
-        declared = request.headers.get("content-length", "")
-        if not declared.isdecimal() or int(declared) > settings.max_upload_bytes + MAX_ORDER_BYTES:
-            raise LimitError(f"an upload must declare its length, at most {settings.max_upload_bytes} bytes")
-        async with request.form(max_files=1, max_fields=1) as form:
+        # Beyond it a form is not read on, declared or not; the file alone is measured below.
+        body = _bounded(request, settings.max_upload_bytes + MAX_ORDER_BYTES)
+        async with body.form(max_files=1, max_fields=1) as form:
             file, text = form.get("file"), form.get("order")
             if not isinstance(file, UploadFile):
                 raise ParameterError("the form has no file in its field 'file'")
+            if (file.size or 0) > settings.max_upload_bytes:
+                raise LimitError(f"the file is longer than {settings.max_upload_bytes} bytes")
             order = _parse(text.encode()) if isinstance(text, str) else Order()
             name = file.filename or "upload"
             data = await file.read()
@@ -251,13 +252,9 @@ def transmission(transmission: str, desk: Annotated[Desk, Depends(_desk)]) -> Tr
     return desk.get(transmission)
 
 
-async def _body(request: Request, limit: int) -> bytes:
-    body = bytearray()
-    async for chunk in request.stream():
-        body += chunk
-        if len(body) > limit:
-            raise LimitError(f"the body is longer than {limit} bytes")
-    return bytes(body)
+def _bounded(request: Request, most: int) -> Request:
+    """The request, whose body is a LimitError beyond `most` bytes."""
+    return Request(request.scope, limited(request.scope, request.receive, most))
 
 
 def _parse(text: bytes) -> Order:

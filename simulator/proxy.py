@@ -19,12 +19,12 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
+from common.asgi import limited
 from common.channel import Channel
 from common.channel.carrying import FAULTS_HEADER
 from common.errors import ChannelError, LinkError, SurfacelinkError
 from common.problems import problem_of
 from common.wire.limits import MAX_BODY
-from receiver.limits import limited
 from receiver.middleware import FAULTS, ChannelMiddleware, Sleep
 from receiver.problems import respond
 from sender.client import http_client, server_url

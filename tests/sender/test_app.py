@@ -112,6 +112,29 @@ def test_a_file_is_sent() -> None:
     run(use)
 
 
+@pytest.mark.parametrize(("length", "status"), [(100_000, 202), (100_001, 413), (300_000, 413)])
+def test_an_upload_need_not_declare_its_length(length: int, status: int) -> None:
+    file = b"0,0,1\n1,0,2\n0,1,3\n1,1,5\n".ljust(length)
+    head = b'--edge\r\nContent-Disposition: form-data; name="file"; filename="a.csv"\r\n\r\n'
+    taken = 0
+
+    async def parts() -> AsyncIterator[bytes]:
+        nonlocal taken
+        for part in (head, *(file[start : start + 5_000] for start in range(0, length, 5_000)), b"\r\n--edge--\r\n"):
+            yield part
+            taken += len(part)
+
+    async def use(client: httpx.AsyncClient) -> None:
+        kind = {"Content-Type": "multipart/form-data; boundary=edge"}
+        answer = await client.post("/v1/transmissions", content=parts(), headers=kind)
+        assert answer.status_code == status, answer.text
+        assert taken < 180_000  # what is beyond the limit is not read
+        if status == 413:
+            assert "longer than" in answer.json()["detail"]
+
+    run(use, max_upload_bytes=100_000)
+
+
 def test_points_of_a_file_without_a_height_are_left_out_and_told() -> None:
     text = "0,0,1\n1,0,2\n0,1,-9999\n1,1,\n2,2,4\n3,1,4\n"
 
@@ -201,7 +224,8 @@ def test_a_receiver_that_is_down_is_a_failed_transmission_not_a_lost_one() -> No
         ({"files": {"file": ("a.csv", "1,2,nan\n4,5,6\n7,8,8")}}, 422, "1 of 3 points have no height"),
         ({"files": {"file": ("a.csv", "0,0,1\n0,0,2\n1,1,1\n2,1,3")}}, 422, "more than one height"),
         ({"files": {"file": ("a.tiff", "II*")}}, 422, "accepted endings"),
-        ({"files": {"file": ("a.csv", "1,2,3\n" * 50_000)}}, 413, "at most 100000 bytes"),
+        ({"files": {"file": ("a.csv", "1,2,3\n" * 50_000)}}, 413, "the body is longer than 165536 bytes"),
+        ({"files": {"file": ("a.csv", "1,2,3\n" * 16_667)}}, 413, "the file is longer than 100000 bytes"),
     ],
 )
 def test_a_bad_order_is_a_problem_that_says_what_is_accepted(

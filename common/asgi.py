@@ -1,4 +1,4 @@
-"""HEAD for a service whose routes know GET alone (RFC 9110, section 9.1: a server must support both)."""
+"""What both services do to a request before their routes see it, as ASGI has it: bound its body, take HEAD for GET."""
 
 from __future__ import annotations
 
@@ -7,13 +7,40 @@ from typing import Any, TypeAlias
 
 import anyio
 
+from common.errors import LimitError
+
 Message: TypeAlias = MutableMapping[str, Any]
 Receive: TypeAlias = Callable[[], Awaitable[Message]]
 Send: TypeAlias = Callable[[Message], Awaitable[None]]
 
 
+def limited(scope: Message, receive: Receive, most: int) -> Receive:
+    """`receive`, for bodies of at most `most` bytes.
+
+    Raises LimitError at once where the request declares more, and from what is returned where more come.
+    """
+
+    def check(length: int) -> None:
+        if length > most:
+            raise LimitError(f"the body is longer than {most} bytes")
+
+    declared = dict(scope["headers"]).get(b"content-length", b"")
+    check(int(declared) if declared.isdigit() else 0)
+    received = 0
+
+    async def counted() -> Message:
+        nonlocal received
+        message = await receive()
+        received += len(message.get("body", b""))
+        check(received)
+        return message
+
+    return counted
+
+
 class Head:
-    """ASGI middleware: HEAD is GET up to the headers of the answer.
+    """ASGI middleware: HEAD is GET up to the headers of the answer, for routes that know GET alone (RFC 9110, section
+    9.1: a server must support both).
 
     There the application is called off: nothing of a body is made that is not sent, and a stream of events, which has
     no end, ends. Routes of its own for HEAD would stand beside each GET in the OpenAPI document.

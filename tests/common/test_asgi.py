@@ -1,4 +1,4 @@
-"""HEAD is GET up to the headers of the answer, for any ASGI application."""
+"""HEAD is GET up to the headers of the answer, for any ASGI application; a body is bounded as it comes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import anyio
 import pytest
 
-from common.head import Head, Message, Receive, Send
+from common.asgi import Head, Message, Receive, Send
 
 pytestmark = pytest.mark.anyio
 
