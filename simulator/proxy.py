@@ -75,18 +75,17 @@ def create_proxy(
     Raises
     ------
     ParameterError
-        If `upstream` is not the address of an HTTP server.
+        If `upstream` is not the address of an HTTP server, or the proxy of the environment cannot be used.
     """
     base = server_url(upstream, "an upstream")
+    client = http_client(base, TIMEOUT, transport)
 
     @asynccontextmanager
-    async def lifespan(app: Starlette) -> AsyncIterator[None]:
-        async with http_client(base, TIMEOUT, transport) as client:
-            app.state.client = client
+    async def lifespan(_app: Starlette) -> AsyncIterator[None]:
+        async with client:
             yield
 
     async def forward(request: Request) -> Response:
-        client: httpx.AsyncClient = request.app.state.client
         outward = client.build_request(
             request.method,
             base.copy_with(raw_path=_target(base, request)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
@@ -227,6 +228,24 @@ async def test_the_answer_is_closed_when_the_client_goes_away() -> None:
 def test_an_upstream_that_is_no_address_is_refused(upstream: str) -> None:
     with pytest.raises(ParameterError, match="upstream"):
         create_proxy(upstream, Channel())
+
+
+def test_a_proxy_on_the_way_that_cannot_be_used_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("all_proxy", "socks5://127.0.0.1:9")
+    monkeypatch.setitem(sys.modules, "socksio", None)
+    monkeypatch.setattr(
+        "sys.argv", ["simulate", "channel", "clean", "--port", "0", "--upstream", "http://upstream.test"]
+    )
+    monkeypatch.setattr("uvicorn.Server.run", lambda self, sockets: None)
+    with pytest.raises(SystemExit) as stop:
+        main()
+    assert stop.value.code == 1
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("error: the proxy that HTTP_PROXY, HTTPS_PROXY or ALL_PROXY names cannot be used")
+    assert err.count("\n") == 1
 
 
 @pytest.mark.parametrize("port", ["99999", "taken"])
