@@ -302,36 +302,37 @@ def summarise(rows: Sequence[Row], name: str, axis: str) -> dict[str, dict[float
     }
 
 
-def winners(found: Mapping[str, Mapping[float, Quartiles]]) -> dict[float, str]:
-    """The rival with the least median at each level, "" where none has a surface at least half of the time."""
+def winners(found: Mapping[str, Mapping[float, Quartiles]]) -> dict[float, tuple[str, ...]]:
+    """The rival with the least median at each level; all of them where several tie, as in a campaign's report, and none
+    where none has a surface at least half of the time."""
     levels = sorted({level for cells in found.values() for level in cells})
-    best_at: dict[float, str] = {}
+    best_at: dict[float, tuple[str, ...]] = {}
     for level in levels:
         medians = {rival: cells[level].median for rival, cells in found.items() if level in cells}
-        winner = min(medians, key=lambda rival: medians[rival])
-        best_at[level] = winner if np.isfinite(medians[winner]) else ""
+        least = min(medians.values())
+        best_at[level] = tuple(rival for rival, median in medians.items() if median == least < np.inf)
     return best_at
 
 
 def verdict(found: Mapping[str, Mapping[float, Quartiles]], axis: str) -> str:
     """Who wins where, and how the best network fares there, in words."""
-    runs: list[tuple[str, list[float]]] = []
-    for level, winner in winners(found).items():
-        if not runs or runs[-1][0] != winner:
-            runs.append((winner, []))
+    runs: list[tuple[tuple[str, ...], list[float]]] = []
+    for level, won in winners(found).items():
+        if not runs or runs[-1][0] != won:
+            runs.append((won, []))
         runs[-1][1].append(level)
     networks = [rival.label for rival in RIVALS if rival.points and rival.label in found]
     said = []
-    for winner, levels in runs:
+    for won, levels in runs:
         where = f"{levels[0]:g}" + (f" to {levels[-1]:g}" if len(levels) > 1 else "")
-        if not winner:
+        if not won:
             said.append(f"at {where} no rival has a surface at least half of the time")
             continue
-        words = f"at {where} {winner} wins"
-        if winner not in networks and networks:
+        words = f"at {where} {' and '.join(won)} {'wins' if len(won) == 1 else 'tie'}"
+        if networks and not set(won) & set(networks):
             behind = [
                 min(found[label][level].median for label in networks if level in found[label])
-                / found[winner][level].median
+                / found[won[0]][level].median
                 for level in levels
             ]
             words += f", the best network behind by a factor of {_span(behind)}"
@@ -395,7 +396,7 @@ def _page(rows: Sequence[Row], contests: Sequence[Contest], seeds: int) -> str:
             parts.append(f"<p>{escape(verdict(found, axis))}</p>")
             head = ["rival", *(f"{level:g}" for level in best_at)]
             body: list[list[TableCell | str]] = [
-                [rival, *(_cell(cells.get(level), winner=best_at[level] == rival) for level in best_at)]
+                [rival, *(_cell(cells.get(level), winner=rival in best_at[level]) for level in best_at)]
                 for rival, cells in found.items()
             ]
             parts.append(table(head, body, caption=f"Median NRMSE by {AXES[axis].label}; the best in bold."))

@@ -79,7 +79,19 @@ def test_the_winner_has_the_least_median_and_failures_never_win() -> None:
         "a": {0.1: Quartiles.of([0.1, 0.2, 0.3]), 0.2: Quartiles.of([None, None, 0.1])},
         "b": {0.1: Quartiles.of([0.3, 0.1, 0.1]), 0.2: Quartiles.of([None, None, None])},
     }
-    assert winners(found) == {0.1: "b", 0.2: ""}
+    assert winners(found) == {0.1: ("b",), 0.2: ()}
+
+
+def test_a_tie_is_no_win_of_the_network() -> None:
+    network = RIVALS[0].label
+    tied = {
+        rival: {level: Quartiles.of([error] * 3) for level, error in ((0.1, 0.2), (0.2, last))}
+        for rival, last in ((network, 0.6), ("codec", 0.3), ("other", 0.3))
+    }
+    tied["other"][0.1] = Quartiles.of([0.25] * 3)
+    assert winners(tied) == {0.1: (network, "codec"), 0.2: ("codec", "other")}
+    said = verdict(tied, "loss")
+    assert f"at 0.1 {network} and codec tie; at 0.2 codec and other tie, the best network behind by" in said
 
 
 @pytest.mark.usefixtures("small")
