@@ -10,6 +10,7 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import Response
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from common.asgi import limited
@@ -69,6 +70,11 @@ async def _on_validation_error(_request: Request, error: Exception) -> Response:
     return respond(problem_of_fields(error.errors()))
 
 
+async def on_disconnect(_request: Request, _error: Exception) -> Response:
+    """An upload that is broken off is no fault of the service, for its log; no one is there to read an answer."""
+    return Response(status_code=HTTPStatus.BAD_REQUEST)
+
+
 async def _on_anything_else(_request: Request, _error: Exception) -> Response:
     return respond(problem_of_status(500, "the fault is the receiver's; its log says more"))
 
@@ -88,6 +94,7 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(SurfacelinkError, _on_surfacelink_error)
     app.add_exception_handler(HTTPException, _on_http_exception)
     app.add_exception_handler(RequestValidationError, _on_validation_error)
+    app.add_exception_handler(ClientDisconnect, on_disconnect)
     app.add_exception_handler(Exception, _on_anything_else)
 
     @app.get("/problems/{name}", tags=["errors"], summary="What a kind of error means")

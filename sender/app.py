@@ -19,6 +19,7 @@ from fastapi.responses import HTMLResponse, JSONResponse, RedirectResponse
 from pydantic import BaseModel, Field, ValidationError
 from starlette.datastructures import UploadFile
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 
 from common.asgi import Head, limited
 from common.errors import LimitError, NotFoundError, ParameterError, SurfacelinkError, hint
@@ -296,6 +297,8 @@ async def _on_error(_request: Request, error: Exception) -> Response:
             return _answer(
                 problem_of_status(error.status_code, details.get(error.status_code)), dict(error.headers or {})
             )
+        case ClientDisconnect():  # an upload that is broken off is no fault; no one is there to read an answer
+            return Response(status_code=HTTPStatus.BAD_REQUEST)
         case _:
             return _answer(problem_of_status(500, "the fault is the sender's; its log says more"))
 
@@ -355,7 +358,7 @@ def create_app(settings: Settings | None = None, connect: Connect = ReceiverClie
         responses={422: PROBLEMS[422]},
     )
     app.state.settings = settings
-    for kind in (SurfacelinkError, RequestValidationError, HTTPException, Exception):
+    for kind in (SurfacelinkError, RequestValidationError, HTTPException, ClientDisconnect, Exception):
         app.add_exception_handler(kind, _on_error)
     app.include_router(router)
     app.add_middleware(Head)

@@ -15,7 +15,7 @@ import anyio
 import httpx
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
@@ -26,7 +26,7 @@ from common.errors import ChannelError, LinkError, SurfacelinkError
 from common.problems import problem_of
 from common.wire.limits import MAX_BODY
 from receiver.middleware import FAULTS, ChannelMiddleware, Sleep
-from receiver.problems import respond
+from receiver.problems import on_disconnect, respond
 from sender.client import http_client, server_url
 
 TIMEOUT = httpx.Timeout(connect=5.0, write=60.0, pool=60.0, read=None)
@@ -107,7 +107,7 @@ def create_proxy(
             Route("/{path:path}", forward, methods=METHODS),
         ],
         middleware=[Middleware(ChannelMiddleware, max_body_bytes=max_body_bytes, sleep=sleep)],
-        exception_handlers={SurfacelinkError: _on_error},
+        exception_handlers={SurfacelinkError: _on_error, ClientDisconnect: on_disconnect},
         lifespan=lifespan,
     )
     app.state.channel = channel

@@ -29,6 +29,7 @@ from common.wire.header import Form, Header
 from common.wire.limits import MAX_PACKETS
 from common.wire.packet import write_datagrams
 from sender.client import ReceiverClient
+from tests.hanging_up import break_off
 from tests.receiver.conftest import HEADERS, Client, Running, packets_of
 
 pytestmark = [
@@ -633,6 +634,18 @@ async def test_a_surface_id_that_is_none_is_told_what_is_accepted_in_words(clien
     for answer in (await client.get(f"/v1/surfaces/{path}"), await client.transmit(path, b"")):
         problem = assert_problem(answer, 422, "id: expected 1 to 64 characters: letters from A to Z and a to z, digits")
         assert "[" not in problem["detail"]
+
+
+async def test_an_upload_that_is_broken_off_is_no_fault_of_the_receiver(client: Client, features: FeatureSet) -> None:
+    await break_off(
+        client.app, "POST", "/v1/transmissions/hills", HEADERS["Content-Type"], packets_of(features, "a")[0]
+    )
+    await break_off(client.app, "PUT", "/v1/channel", "application/json", b"{")
+    assert (
+        'receiver_requests_total{method="POST",route="/v1/transmissions/{id}",status="400"} 1.0'
+        in (await client.get("/metrics")).text
+    )
+    assert (await client.get("/v1/surfaces/hills")).status_code == 404
 
 
 async def test_errors_of_routing_are_problems(client: Client) -> None:

@@ -18,6 +18,7 @@ from common.wire import PacketDecoder
 from sender.app import create_app
 from sender.client import ReceiverClient, RetryPolicy
 from sender.settings import Settings
+from tests.hanging_up import break_off
 
 Handler = Callable[[httpx.Request], httpx.Response]
 
@@ -133,6 +134,24 @@ def test_an_upload_need_not_declare_its_length(length: int, status: int) -> None
             assert "longer than" in answer.json()["detail"]
 
     run(use, max_upload_bytes=100_000)
+
+
+@pytest.mark.parametrize(
+    ("kind", "body"),
+    [
+        ("application/json", b"{"),
+        (
+            "multipart/form-data; boundary=x",
+            b'--x\r\nContent-Disposition: form-data; name="file"; filename="a.csv"\r\n\r\n1,2,3',
+        ),
+    ],
+    ids=["order", "file"],
+)
+@pytest.mark.anyio
+async def test_an_upload_that_is_broken_off_is_no_fault_of_the_sender(kind: str, body: bytes) -> None:
+    app = create_app(Settings())
+    async with app.router.lifespan_context(app):
+        await break_off(app, "POST", "/v1/transmissions", kind, body)
 
 
 def test_points_of_a_file_without_a_height_are_left_out_and_told() -> None:

@@ -19,6 +19,7 @@ from common.channel import Channel
 from common.errors import ParameterError
 from simulator.__main__ import main
 from simulator.proxy import MAX_CHANNEL_BYTES, create_proxy
+from tests.hanging_up import break_off
 
 SPEC = "gaussian:std=0.1;erasure:p=0.3"
 
@@ -220,6 +221,14 @@ async def test_the_answer_is_closed_when_the_client_goes_away() -> None:
         with anyio.fail_after(10):
             await proxy(scope, receive, send)
             await closed.wait()
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize(("method", "path"), [("PUT", "/v1/channel"), ("PUT", "/a"), ("POST", "/v1/transmissions/a")])
+async def test_an_upload_that_is_broken_off_is_no_fault_of_the_proxy(method: str, path: str) -> None:
+    proxy = create_proxy("http://server", Channel.parse(SPEC), transport=httpx.ASGITransport(SERVER))
+    async with proxy.router.lifespan_context(proxy):
+        await break_off(proxy, method, path, "application/json", b"{")
 
 
 @pytest.mark.parametrize(
