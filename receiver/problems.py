@@ -61,7 +61,15 @@ async def _on_http_exception(request: Request, error: Exception) -> Response:
         HTTPStatus.NOT_FOUND: f"there is nothing at {request.url.path}; /docs lists what there is",
         HTTPStatus.METHOD_NOT_ALLOWED: f"{request.method} is not possible here; see the header Allow",
     }
-    return respond(problem_of_status(error.status_code, details.get(HTTPStatus(error.status_code))), error.headers)
+    headers = {**(error.headers or {}), **_allow(request)} if error.status_code == 405 else error.headers
+    return respond(problem_of_status(error.status_code, details.get(HTTPStatus(error.status_code))), headers)
+
+
+def _allow(request: Request) -> dict[str, str]:
+    """The header Allow with all methods of a path: routing knows those of the first route that has the path."""
+    path = getattr(request.scope.get("route"), "path_format", None)
+    methods = request.app.openapi()["paths"].get(path, {})
+    return {"Allow": ", ".join(method.upper() for method in methods)} if methods else {}
 
 
 async def _on_validation_error(_request: Request, error: Exception) -> Response:

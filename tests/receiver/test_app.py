@@ -653,6 +653,10 @@ async def test_errors_of_routing_are_problems(client: Client) -> None:
     answer = await client.put("/v1/surfaces", json={})
     assert_problem(answer, 405)
     assert answer.headers["allow"] == "GET, HEAD"
+    assert (await client.patch("/v1/channel")).headers["allow"] == "GET, PUT, HEAD"
+    assert (await client.post("/v1/surfaces/hills")).headers["allow"] == "GET, DELETE, HEAD"
+    assert (await client.post("/docs")).headers["allow"] == "GET, HEAD"
+    assert (await client.get("/v1/transmissions/hills")).headers["allow"] == "POST"
 
 
 async def test_kinds_of_problem_can_be_looked_up(client: Client) -> None:
