@@ -22,7 +22,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
 from common.asgi import Head, limited
-from common.errors import LimitError, NotFoundError, ParameterError, SurfacelinkError, hint
+from common.errors import LimitError, MediaTypeError, NotFoundError, ParameterError, SurfacelinkError, hint
 from common.messages import Receipt
 from common.network.model import NetworkSettings
 from common.page import api_page
@@ -48,6 +48,9 @@ logger = logging.getLogger(__name__)
 
 MAX_ORDER_BYTES = 64 << 10
 """Of an order that comes alone, and of what a form may hold beside its file: boundaries, headers, the order."""
+
+FIELDS = ("file", "order")
+"""Of a form."""
 
 PARTS: Mapping[int | str, type[BaseModel]] = {"wire": WireOptions, "network": NetworkSettings}
 """Members of an order that have members of their own."""
@@ -216,6 +219,8 @@ async def send(
     settings: Annotated[Settings, Depends(_settings)],
 ) -> TransmissionOut:
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if request.headers.get("content-encoding", "identity").lower() != "identity":
+        raise MediaTypeError("a body in a content coding is not accepted")
     upload = None
     if kind == "application/json":
         order = _parse(await _bounded(request, MAX_ORDER_BYTES).body())
@@ -226,6 +231,12 @@ async def send(
             file, text = form.get("file"), form.get("order")
             if not isinstance(file, UploadFile):
                 raise ParameterError("the form has no file in its field 'file'")
+            unknown = [name[:40] for name in form if name not in FIELDS]
+            if unknown:
+                told = (
+                    f"no such field; accepted are {' and '.join(FIELDS)}, which holds the members of an order as JSON"
+                )
+                raise RequestValidationError([{"loc": ("body", name), "msg": told} for name in unknown])
             if (file.size or 0) > settings.max_upload_bytes:
                 raise LimitError(f"the file is longer than {settings.max_upload_bytes} bytes")
             order = _parse(text.encode()) if isinstance(text, str) else Order()

@@ -239,6 +239,8 @@ def test_a_receiver_that_is_down_is_a_failed_transmission_not_a_lost_one() -> No
         ({"content": b"1,2", "headers": {"Content-Type": "multipart/form-data"}}, 400, "accepted are one 'file'"),
         ({"json": {"surface": "surface-1"}, "params": [("x", 1)]}, 422, "x: no such parameter"),
         ({"files": {"other": ("a.csv", "1,2,3")}}, 422, "no file"),
+        ({"files": {"file": ("a.csv", "1,2,3")}, "data": {"gap": 1}}, 422, "gap: no such field; accepted are file and"),
+        ({"json": {"surface": "surface-1"}, "headers": {"Content-Encoding": "gzip"}}, 415, "content coding"),
         ({"files": {"file": ("a.csv", "1,2,3")}}, 422, "at least 3"),
         ({"files": {"file": ("a.csv", "1,2,nan\n4,5,6\n7,8,8")}}, 422, "1 of 3 points have no height"),
         ({"files": {"file": ("a.csv", "0,0,1\n0,0,2\n1,1,1\n2,1,3")}}, 422, "more than one height"),
