@@ -73,7 +73,7 @@ def send(
     what: Annotated[
         str,
         typer.Argument(
-            metavar="NAME|FILE", help="A surface by name (`sender surfaces` lists them), or a file of points."
+            metavar="NAME|FILE", help="A surface by name (`sender surfaces` lists them), or a file: points or a grid."
         ),
     ],
     receiver: Annotated[str, typer.Option(help="URL of the receiver.")] = DEFAULTS.receiver,

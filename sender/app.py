@@ -203,7 +203,11 @@ def surfaces() -> list[SurfaceOut]:
                         "type": "object",
                         "required": ["file"],
                         "properties": {
-                            "file": {"type": "string", "format": "binary", "description": "csv, txt, xyz, asc or npy"},
+                            "file": {
+                                "type": "string",
+                                "format": "binary",
+                                "description": "csv, txt, xyz, asc, npy, npz, tif or hgt",
+                            },
                             "order": {"type": "string", "description": "The same JSON as the other kind of body."},
                         },
                     }

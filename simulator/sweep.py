@@ -64,6 +64,7 @@ LIBRARIES = (
     "scipy",
     "matplotlib",
     "msgpack",
+    "tifffile",
     "scikit-learn",
     "startinpy",
     "imagecodecs",
@@ -238,7 +239,10 @@ def sweep_command(
     workers: Annotated[int | None, typer.Option(min=1, help="Worker processes; by default one a core.")] = None,
     surface: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME|FILE", help="A surface (`sender surfaces` lists them), or points; may be repeated."),
+        typer.Option(
+            metavar="NAME|FILE",
+            help="A surface (`sender surfaces` lists them), or a file of points or of a grid; may be repeated.",
+        ),
     ] = None,
     columns: Columns = None,
     no_data: NoDataHeight = None,

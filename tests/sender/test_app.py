@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
+import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
@@ -12,6 +14,7 @@ import anyio
 import httpx
 import numpy as np
 import pytest
+import tifffile
 
 from common.version import product_version
 from common.wire import PacketDecoder
@@ -154,6 +157,36 @@ async def test_an_upload_that_is_broken_off_is_no_fault_of_the_sender(kind: str,
         await break_off(app, "POST", "/v1/transmissions", kind, body)
 
 
+def test_a_raster_is_sent_and_held_to_the_limits() -> None:
+    buffer = io.BytesIO()
+    tifffile.imwrite(buffer, np.random.default_rng(0).normal(size=(20, 30)), photometric="minisblack", metadata=None)
+
+    async def use(client: httpx.AsyncClient) -> None:
+        answer = await client.post("/v1/transmissions", files={"file": ("hill.tif", buffer.getvalue())})
+        record = await settled(client, answer.headers["Location"])
+        assert (record["surface"], record["state"], record["cloud_points"]) == ("hill", "sent", 600)
+        assert "does not say where it lies" in record["notes"][0]
+
+    async def limited(client: httpx.AsyncClient) -> None:
+        answer = await client.post("/v1/transmissions", files={"file": ("hill.tif", buffer.getvalue())})
+        assert answer.status_code == 413
+        assert answer.json()["detail"] == "hill.tif holds 600 points; at most 500 are accepted"
+
+    run(use)
+    run(limited, max_points=500)
+
+
+def test_a_package_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "tifffile", None)
+
+    async def use(client: httpx.AsyncClient) -> None:
+        answer = await client.post("/v1/transmissions", files={"file": ("hill.tif", b"II*")})
+        assert answer.status_code == 501
+        assert "pip install 'surfacelink[tif]'" in answer.json()["detail"]
+
+    run(use)
+
+
 def test_points_of_a_file_without_a_height_are_left_out_and_told() -> None:
     text = "0,0,1\n1,0,2\n0,1,-9999\n1,1,\n2,2,4\n3,1,4\n"
 
@@ -244,9 +277,10 @@ def test_a_receiver_that_is_down_is_a_failed_transmission_not_a_lost_one() -> No
         ({"files": {"file": ("a.csv", "1,2,3")}}, 422, "at least 3"),
         ({"files": {"file": ("a.csv", "1,2,nan\n4,5,6\n7,8,8")}}, 422, "1 of 3 points have no height"),
         ({"files": {"file": ("a.csv", "0,0,1\n0,0,2\n1,1,1\n2,1,3")}}, 422, "more than one height"),
-        ({"files": {"file": ("a.tiff", "II*")}}, 422, "accepted endings"),
         ({"files": {"file": ("a.csv", "1,2,3\n" * 50_000)}}, 413, "the body is longer than 165536 bytes"),
         ({"files": {"file": ("a.csv", "1,2,3\n" * 16_667)}}, 413, "the file is longer than 100000 bytes"),
+        ({"files": {"file": ("a.grd", "II*")}}, 422, "accepted endings"),
+        ({"files": {"file": ("a.tiff", "II*")}}, 422, "a.tiff is not a GeoTIFF that can be read"),
     ],
 )
 def test_a_bad_order_is_a_problem_that_says_what_is_accepted(

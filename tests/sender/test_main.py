@@ -74,7 +74,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *ar
         (["surface-1", "--receiver", "http://127.0.0.1:9/v1/"], "give the receiver's URL without /v1"),
         (["binary.csv"], "not text in UTF-8"),
         (["place.csv", "--columns", "lon,lat"], "three columns are needed, those of x, y and z, not 2 (lon, lat)"),
-        (["picture.png"], "accepted endings are .csv, .txt, .xyz, .asc, .npy, those of text also with .gz or .xz"),
+        (["picture.png"], ".csv, .txt, .xyz, .asc, .npy, .npz, .tif, .tiff, .hgt, each also with .gz or .xz behind it"),
     ],
 )
 def test_bad_input_is_one_line(

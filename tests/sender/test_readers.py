@@ -81,8 +81,12 @@ def test_a_header_that_promises_too_many_points_is_enough_to_refuse_a_file() -> 
     ("data", "name", "message"),
     [
         (TEXT, "a.dat", "accepted endings are .csv"),
-        (b"", "a.npz", r"\.npz is not read; numpy.save of .* makes .npy of its arrays; accepted endings are"),
-        (b"", "a.TIF", r"\.tif is not read; gdal_translate -of AAIGrid"),
+        (
+            b"",
+            "a.NC",
+            r"\.nc is not read; gdal_translate makes .tif of it; accepted endings are .*, each also with .gz",
+        ),
+        (b"", "N44W072.hgt.zip", r"\.zip is not read; unpack it; accepted endings are"),
         (b"", "a.csv", "empty"),
         (b"# nothing\n", "a.csv", "empty"),
         (b"1,2,3\n1,2\n", "a.csv", "line 2 has 2 cells"),
@@ -485,7 +489,10 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
         read_points(tmp_path)
 
 
-@given(st.binary(max_size=200), st.sampled_from(["a.csv", "a.xyz", "a.npy", "a.csv.gz", "a.npy.xz"]))
+@given(
+    st.binary(max_size=200),
+    st.sampled_from(["a.csv", "a.xyz", "a.npy", "a.csv.gz", "a.npy.xz", "a.npz", "a.tif", "a.hgt"]),
+)
 @example(b'"' + b"a" * 200_000, "a.csv")
 @example(b'1,2,3\n"' + b"a" * 200_000 + b",2,3", "a.csv")
 @example(b"\x00\x01,\x02,\x03\n1,2,3\n", "a.csv")
@@ -506,6 +513,8 @@ def test_any_bytes_are_points_or_our_error(data: bytes, name: str) -> None:
         ("hills.2024.xyz", "hills.2024"),
         ("my field.csv", "my-field"),
         (".csv.xz", "csv"),
+        ("dem.tiff", "dem"),
+        ("N44W072.hgt.gz", "N44W072"),
         ("surface-1", "surface-1"),
     ],
 )

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tifffile
 from typer.testing import CliRunner
 
 from common.channel import Channel, Delivery
@@ -261,6 +262,26 @@ def test_a_file_is_a_surface_known_by_its_contents(tmp_path: Path) -> None:
     assert found[0] == found[1]
     assert found[0]["surface"] == "plane.csv"
     assert float(found[0]["nrmse"] or 1) < 1e-3  # a plane, quantised to 16 bits
+
+
+def test_grids_in_files_are_surfaces(tmp_path: Path) -> None:
+    z = np.add.outer(np.arange(20.0), 2 * np.arange(30.0))
+    np.savez(tmp_path / "plane.npz", z=z, dx=2.0, dy=2.0)
+    scale, tie = (33_550, "d", 3, (2.0, 2.0, 0.0), True), (33_922, "d", 6, (0.5, 19.5, 0.0, 0.0, 0.0, 0.0), True)
+    tifffile.imwrite(tmp_path / "plane.tif", z, extratags=[scale, tie], photometric="minisblack", metadata=None)
+    changes = {
+        "surfaces": [{"file": "plane.npz"}, {"file": "plane.tif"}],
+        "features": [{"pieces": 5}],
+        "channels": ["clean"],
+        "methods": ["linear"],
+        "seeds": 1,
+    }
+    plan = Campaign.build(PLAN | changes, folder=tmp_path)
+    rows = rows_of(plan)
+    assert [row["surface"] for row in rows] == ["plane.npz", "plane.tif"]
+    assert [row["gap"] for row in rows] == [58 / 5] * 2
+    assert rows[0]["nrmse"] == rows[1]["nrmse"]
+    assert [notes_of(choice) for choice in plan.surfaces] == [(), ()]
 
 
 def test_files_of_equal_contents_are_told_apart_by_their_names(tmp_path: Path) -> None:
