@@ -16,12 +16,12 @@ from typing import Annotated, Any, Self, TypeAlias
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from common.channel import Channel, PointImpairment
-from common.errors import MissingExtraError, NotFoundError, ParameterError, hint
+from common.errors import FileFormatError, MissingExtraError, NotFoundError, ParameterError, hint
 from common.problems import invalid_fields
 from common.wire import WireOptions
 from common.wire.limits import DEFAULT_DATAGRAM, MAX_DATAGRAM
 from sender.features import Extracted
-from sender.readers import NoData
+from sender.readers import NoData, file_bytes
 from sender.surfaces import MOST_POINTS, find_surface
 from simulator import fields
 from simulator.codecs import find_codec
@@ -403,9 +403,9 @@ def _read(choice: SurfaceChoice, folder: Path) -> SurfaceChoice:
         return choice
     path = folder / choice.file
     try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ParameterError(f"surfaces: cannot read {path}: {error.strerror or error}") from error
+        data = file_bytes(path)
+    except FileFormatError as error:
+        raise ParameterError(f"surfaces: {error}") from error
     reading = b"" if choice.no_data is None else f"no_data {choice.no_data}".encode()
     content = hashlib.sha256(data + reading).hexdigest()[:16]
     return choice.model_copy(update={"file": path, "content": content})

@@ -13,13 +13,14 @@ import lzma
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal, TypeAlias
 
 import numpy as np
 
-from common.errors import FileFormatError, PointsError
+from common.errors import FileFormatError, PointsError, guess
 from common.surface import FloatArray, as_points
 from sender.readers.arrays import read_npy, read_npz
 from sender.readers.geotiff import read_geotiff
@@ -77,11 +78,24 @@ def read_points(path: Path, columns: Sequence[str] | None = None, no_data: NoDat
     LimitError, MissingExtraError, PointsError
         As `parse_points` says.
     """
+    return parse_points(file_bytes(path), path.name, columns, no_data)
+
+
+def file_bytes(path: Path) -> bytes:
+    """What is in a file; raises FileFormatError where it cannot be read, with the one that was probably meant."""
     try:
-        data = path.read_bytes()
+        return path.read_bytes()
     except OSError as error:
-        raise FileFormatError(f"cannot read {path}: {error.strerror or error}") from error
-    return parse_points(data, path.name, columns, no_data)
+        near = guess(path.name, _beside(path)) if isinstance(error, FileNotFoundError) else ""
+        raise FileFormatError(f"cannot read {path}: {error.strerror or error}{near}") from error
+
+
+def _beside(path: Path) -> list[str]:
+    """Names in the folder of a file that is not there; of a folder of thousands only some."""
+    try:
+        return [entry.name for entry in islice(path.parent.iterdir(), 1000)]
+    except OSError:
+        return []
 
 
 def parse_points(

@@ -487,6 +487,11 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
         read_points(tmp_path / "none.csv")
     with pytest.raises(FileFormatError, match="cannot read"):
         read_points(tmp_path)
+    with pytest.raises(FileFormatError, match=r"No such file or directory$"):
+        read_points(tmp_path / "nowhere" / "none.csv")
+    (tmp_path / "prairie.tif").touch()
+    with pytest.raises(FileFormatError, match=r"No such file or directory; did you mean 'prairie\.tif'"):
+        read_points(tmp_path / "prairy.tif")
 
 
 @given(
