@@ -18,9 +18,10 @@ from common.network.autoassociative import Lifted
 from common.network.calibration import calibrated
 from common.network.expansion import Expansion
 from common.network.kernel import ladder_spreads, mean_spacing, nearest_distance, span
-from common.network.partition import BEYOND, CALM, PROBES, Partition, strays, tolerated
+from common.network.partition import BEYOND, PROBES, Partition, strays, tolerated
 from common.network.patches import Tick
 from common.network.selection import (
+    CALM,
     CLEAN,
     NOISY,
     ROUGHNESS,

@@ -31,7 +31,7 @@ from common.network.kernel import Kernel
 from common.network.local import FAR, Levels
 from common.network.patches import Tick, points_of
 from common.network.quadtree import DEEPEST, Quadtree
-from common.network.selection import CLEAN, MANY_WORSE, TINY, Kind, Samples, Spectra, believed, rounding_floor
+from common.network.selection import CALM, CLEAN, TINY, Kind, Samples, Spectra, believed, rounding_floor
 from common.network.threads import parallel
 from common.surface import BoolArray, FloatArray, IntArray
 
@@ -87,14 +87,15 @@ NEARBY = 8.0
 PROBES = 2000
 """Places at which a surface is probed."""
 
-CALM = 1.0
-"""Exponent H up to which a ladder explodes nowhere."""
-
 FAR_MORE = 16.0
 """Times a kernel's sum of squares that a calm ladder must leave at clean points for the kernel to stay."""
 
 MORE_OR_LESS = 0.8
 """The same where the points are noisy."""
+
+WORSE = 2.0
+"""Mean square of the leave-one-out residuals, over the least of a ladder, beyond which a kernel is not believed; it is
+that of a sample of the patches."""
 
 FLAT = 1e-12
 """Deviation, in that of all values, below which the values of a patch are one value and rounding."""
@@ -317,7 +318,7 @@ class Partition:
         most = max(FEW, min(MORE, len(self) // 4))
         for until, kept in (*ROUNDS, (most, 1)):
             total[:, likely] += self._summed(drawn[asked:until], values, [kernels[i] for i in likely], smoothings)
-            scores = believed(total[0, likely], total[1, likely], ladders[likely], MANY_WORSE)
+            scores = believed(total[0, likely], total[1, likely], ladders[likely], WORSE)
             ordered = likely[np.argsort(scores.min(axis=1), kind="stable")]
             best = float(smoothings[int(np.argmin(scores[likely == ordered[0]]))])
             # One ladder stays, to hold the others against.

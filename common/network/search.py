@@ -18,8 +18,8 @@ from common.network.dense import Dense
 from common.network.kernel import LADDER_STEP, mean_spacing, squared_distances, upper_sum_of_levels
 from common.network.selection import (
     BEHIND,
+    CALM,
     CLEAN,
-    MANY_WORSE,
     NOISY,
     ROUGHNESS,
     TINY,
@@ -100,6 +100,9 @@ FARTHEST = 2.0
 WORTHLESS = 8.0
 """Score that a place must be expected to lie behind, and it is not tried."""
 
+MANY_WORSE = 1.1
+"""`WORSE` where points are many: a mean of many squares is itself better known."""
+
 KNOWN = 1e-6
 """Mean square of the leave-one-out residuals up to which no kernel is doubted."""
 
@@ -139,12 +142,12 @@ def fit(
         if fine:
             starts = [*_starts(finer, BEHIND), *starts]
     smoothest = max((kind.parameter for kind in kinds if kind.family == "ladder"), default=ROUGHNESS[-1])
-    ladder = next((start for start in _starts(ranked, np.inf) if start.kind.family == "ladder"), None)
+    ladders = _ladders(ranked)
     if n > CLIMBED and not quick:
         anywhere = _is_smooth(starts[0], mean_spacing(few.X)) and not fine
         near = samples.take(np.sort(order[:CLIMBED]) if anywhere else neighbourhoods(KDTree(samples.X)))
         search = _Search(near, spreads, smoothest, TRIALS, lambda share: tick(0.2 + 0.2 * share))
-        found = search.climb(starts, free, ladder)
+        found = search.climb(starts, free, ladders)
         # The closer the points, the rougher a surface may look.
         rough = [start for start in _starts(ranked, FAR_BEHIND) if start.kind.family == "ladder"]
         if rough and not anywhere and found.scored.best.kind.family != "ladder":
@@ -154,11 +157,11 @@ def fit(
         starts = _finalists(found.scored)
     budget = min(TRIALS, round(TRIALS * (AFFORDED / n) ** 3))
     if quick:
-        budget, ladder = 1, None
+        budget, ladders = 1, []
     elif budget < ROUND:
         budget = len(starts)
     search = _Search(samples, spreads, smoothest, budget, lambda share: tick(0.6 + 0.4 * share))
-    return search.climb(starts, free, ladder)
+    return search.climb(starts, free, ladders)
 
 
 def neighbourhoods(tree: KDTree, many: int = CLIMBED, about: int = NEIGHBOURHOODS) -> IntArray:
@@ -218,22 +221,23 @@ class _Search:
         solution = Solution(coefficients, bias, residuals, spread)
         return _Trial(value, square, variance, restricted, solution, dense.smoothing)
 
-    def climb(self, starts: Sequence[Candidate], free: _Free, ladder: Candidate | None = None) -> Fit:
+    def climb(self, starts: Sequence[Candidate], free: _Free, ladders: Sequence[Candidate] = ()) -> Fit:
         """The average of all that were tried on the way from the best of the starts to the best there is.
 
-        Where that leaves more at the points, each without itself, than noise can, the ladder is tried, too, and the way
-        from there where it is believed more.
+        Where that leaves more at the points, each without itself, than noise can, the ladders are tried, too, and the
+        way from the one that is believed more.
         """
         self._climb(starts, free)
         trial = self.tried[self._best()]
         unknown = trial.square > max(KNOWN, WORSE * trial.smoothing * trial.variance)
-        if ladder is not None and unknown and not any(place.family == "ladder" for place in self.tried):
-            budget, self.budget = self.budget, len(self.tried) + 1
-            place = self._moved(_Place.of(ladder), 1, 0.0)
-            self.scores([place])
-            if self._best() == place:
+        if unknown and not any(place.family == "ladder" for place in self.tried):
+            places = {self._moved(_Place.of(ladder), 1, 0.0): ladder for ladder in ladders}
+            budget, self.budget = self.budget, len(self.tried) + len(places)
+            self.scores(list(places))
+            best = self._best()
+            if best in places:
                 self.budget += budget
-                self._climb([ladder], free)
+                self._climb([places[best]], free)
         return self._averaged()
 
     def _climb(self, starts: Sequence[Candidate], free: _Free) -> None:
@@ -337,6 +341,14 @@ def _finalists(scored: Scored) -> list[Candidate]:
     ordered = [scored.candidates[i] for i in np.argsort(scored.scores, kind="stable")]
     others = [candidate for candidate in _starts(scored, FAR_BEHIND) if candidate.kind.family != ordered[0].kind.family]
     return [ordered[0], *others, *ordered[1:]][:FINALISTS]
+
+
+def _ladders(ranked: Scored) -> list[Candidate]:
+    """The best ladder, and the best calm one, if that is another: it errs least where hardly any points are."""
+    ordered = [ranked.candidates[i] for i in np.argsort(ranked.scores, kind="stable")]
+    ladders = [candidate for candidate in ordered if candidate.kind.family == "ladder"]
+    calm = [candidate for candidate in ladders if candidate.kind.parameter <= CALM]
+    return list(dict.fromkeys([*ladders[:1], *calm[:1]]))
 
 
 def _starts(ranked: Scored, behind: float) -> list[Candidate]:

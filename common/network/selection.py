@@ -46,6 +46,9 @@ from common.surface import BoolArray, FloatArray, IntArray
 Family: TypeAlias = Literal["single", "multiquadric", "ladder"]
 
 ROUGHNESS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0)
+CALM = 1.0
+"""Roughness up to which a ladder explodes nowhere."""
+
 ORDERS = (0.5, 1.0, 2.0, 4.0)
 """Roughnesses of the ladders that have a reach."""
 
@@ -79,9 +82,6 @@ NEGLIGIBLE = 0.03
 
 WORSE = 4.0
 """Mean square of the leave-one-out residuals, over the least of a ladder, beyond which a candidate is not believed."""
-
-MANY_WORSE = 2.0
-"""The same where points are many: a mean of many squares is itself better known."""
 
 CLEAN = 1e-6
 """Smoothing below which the points may have no noise at all."""
